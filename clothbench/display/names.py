@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import Any
 
 
@@ -16,6 +16,20 @@ def cell_name(row: dict[str, Any]) -> str:
     model = " + ".join([row["model"], *(e for e in (row["effects"] or "").split(",") if e)])
     seed = [f"seed {row['seed']}"] if row["seed"] else []
     return " · ".join([*filter(None, (row["case"], model, row["optimizer"], row["objective"])), *seed])
+
+
+def recording_of(rows: Sequence[Mapping[str, Any]]) -> Callable[[Mapping[str, Any]], Hashable]:
+    """What tells the recording of a row from others: its name and its case, as the recordings of two fabrics may have
+    one name. Where each of several is fitted in turn, a case bears the name of one of them, and all are the same ones.
+    """
+    in_turn = {(r["suite"], r["case"]) for r in rows if r["recording"] == r["case"]}
+    shared = {(r["suite"], r["recording"]) for r in rows if r["recording"] and (r["suite"], r["case"]) in in_turn}
+
+    def place(row: Mapping[str, Any]) -> Hashable:
+        known = row["suite"], row["recording"]
+        return known if known in shared else (*known, row["case"])
+
+    return place
 
 
 def duration(seconds: float) -> str:

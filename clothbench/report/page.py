@@ -9,7 +9,7 @@ from typing import Any
 from clothbench.core.files import whole_file
 from clothbench.display.failures import failures
 from clothbench.display.html import pill, table, text
-from clothbench.display.names import model_name
+from clothbench.display.names import model_name, recording_of
 from clothbench.display.page import whole_page
 from clothbench.display.section import Section
 from clothbench.engine.store import Store
@@ -73,10 +73,11 @@ def what_was_run(rows: Rows) -> str:
     cells = {r["key"] for r in rows}
     skipped = cells - {r["key"] for r in rows if r["status"] != "skipped"}  # a cell that has any number is none
     bad = {r["key"] for r in failures(rows) if r["status"] != "skipped"}
+    recording = recording_of(rows)
     counts = [
         (len(cells), "cells"), (len(cells - bad - skipped), "finished well"), (len(bad), "failed"),
         (len(skipped), "skipped"), (len({(r["suite"], r["case"]) for r in rows}), "cases"),
-        (len({(r["suite"], r["case"], r["recording"]) for r in rows if r["recording"]}), "recordings"),
+        (len({recording(r) for r in rows if r["recording"]}), "recordings"),
         (len({r["model"] for r in rows}), "models"), (len({r["optimizer"] for r in rows} - {None}), "optimizers"),
     ]  # fmt: skip
     said = ", ".join(f"{n} {word if n != 1 else word.removesuffix('s')}" for n, word in counts if n)

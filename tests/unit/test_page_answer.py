@@ -18,7 +18,8 @@ from clothbench.display.answer import Card
 from clothbench.display.templates import rendered
 from clothbench.engine.study import Results
 from clothbench.estimation.intervals import error_interval
-from clothbench.studies.calibration.answer import HERE, lead, leading_metric
+from clothbench.report.page import what_was_run
+from clothbench.studies.calibration.answer import HERE, lead, leading_metric, mean_of
 from clothbench.studies.calibration.asked import with_settings
 from clothbench.studies.calibration.budget import late_fall, settled
 from clothbench.studies.calibration.estimates import contained, estimates
@@ -111,7 +112,7 @@ def test_ways_are_compared_over_the_recordings_that_all_of_them_have():
     assert second.ratio == pytest.approx(1.1)
     assert best_of(found["linen"]) == ["a"]
     assert "Not compared, since only some of the ways were judged on them: linen/3." in told(some, "fold")
-    assert "It has the least error in 1 of 1 cases." in told(some, "fold")
+    assert "a has the least error in 1 of 1 cases." in told(some, "fold")
     (_, _, (a, b)), = several_ways("s", "fold", some, lambda *_: "").lines  # fmt: skip
     assert (a.text, a.below, a.best, b.text, b.below, b.best) == ("3.25", "", True, "1.10", "× 1.10", False)
     assert a.title == "4 recordings; compared without 1 recording that not all ways have"
@@ -279,7 +280,7 @@ def test_a_case_with_nothing_held_out_is_named_and_the_others_are_ranked():
     some += [row(m, "wool", "wool/0", 1.0, split="fit") for m in ("a", "b")]
     said = told(some, "fold")
     assert said.startswith("Take a. b is 2.0")
-    assert "It has the least error in 2 of 2 cases." in said
+    assert "a has the least error in 2 of 2 cases." in said
     assert "nothing was held out there: wool." in said
     *_, (case, _, (square, _)) = several_ways("s", "fold", some, lambda *_: "").lines
     assert case == "wool"
@@ -428,12 +429,50 @@ def test_a_search_that_still_falls_asks_for_more():
     alike = [row("a", "linen", "x", 1.0, key="a"), row("b", "linen", "x", 1.0, key="b")]
     hard = row("a", "satin", "x", 1.0, key="hard")  # which the other model was not fitted to
     histories = {"a": np.array([4.0] * 20), "b": np.array([6.0] * 20), "hard": np.array([1e3] * 15 + [100.0] * 5)}
-    assert "the order of models was the same" in settled([*alike, hard], way_of(alike), histories)[1]
+    assert "the order of ways was the same" in settled([*alike, hard], way_of(alike), histories)[1]
     histories = {"a": np.array([4.0] * 20), "b": np.array([6.0] * 15 + [3.0] * 5), "hard": np.array([9.0] * 20)}
-    assert "the order of models was another" in settled([*alike, hard], way_of(alike), histories)[1]
+    assert "the order of ways was another" in settled([*alike, hard], way_of(alike), histories)[1]
     both = settled([r | {"evaluations": 80} for r in some], way_of(some), {"a-linen": steady, "b-satin": falling})
     assert both[0] == "80 evaluations"  # 60 of them on a coarser mesh
     assert "in the last quarter of those on the finer mesh" in both[1]
+
+
+def test_a_last_quarter_of_few_evaluations_does_not_tell():
+    """Of ten evaluations, or of one, more change most; of 48 the last twelve may be one step in eleven parameters."""
+    some = [row("a", "linen", "x", 1.0), row("b", "satin", "x", 1.0)]
+
+    def said(*counts: int, free: int = 2) -> str:
+        histories = {key: np.full(n, 5.0) for key, n in zip(("a-linen", "b-satin"), counts, strict=False)}
+        return settled(some, way_of(some), histories, dict.fromkeys(histories, free))[1]
+
+    assert (
+        said(10, 10) == "a fit; too few to tell whether more would lower the error: the last quarter has 2 evaluations"
+    )
+    assert "the last quarter has 0 evaluations" in said(1)
+    assert "the last quarter of 1 of 2 has 2 evaluations" in said(10, 400)
+    assert "too few" in said(48, free=12)
+    assert said(48).endswith("no error fell by more than 2\u00a0%: more would change little")
+
+
+def test_the_first_way_has_the_least_errors_whatever_stands_before():
+    some = rows_of({"a": [1.0, 2.0, 3.0], "b": [2.0, 4.1, 6.2], "c": [3.0, 6.2, 9.1]})
+    assert "3 recordings). a has the least error in 1 of 1 cases." in told(some, "fold")
+
+
+def test_a_recording_that_several_fits_hold_out_counts_once():
+    """Of three recordings two are fitted in turn, so that the third is judged by two fits; names alone tell no two."""
+    fitted = {"x": {"y": 1.0, "z": 2.0}, "y": {"x": 4.0, "z": 8.0}}
+    some = [row("a", case, name, v) for case, values in fitted.items() for name, v in values.items()]
+    some += [row("a", case, case, 0.5, split="fit") for case in fitted]
+    assert told_overall(some) == ["held out, all 2 cases: 3.33 px over 3 recordings (a · ga · fold, seed 0)"]
+    assert mean_of(some, "fold", "held_out")[:2] == (
+        "3.33 px", "1.00 … 5.00: 3 recordings, too few for an interval"
+    )  # fmt: skip
+    assert ", 3 recordings, " in what_was_run(some)
+    named_alike = [row("a", case, "swing", v) for case, v in (("silk", 1.0), ("wool", 3.0))]
+    assert told_overall(named_alike) == ["held out, all 2 cases: 2.00 px over 2 recordings (a · ga · fold, seed 0)"]
+    assert mean_of(named_alike, "fold", "held_out")[1].startswith("1.00 … 3.00: 2 recordings")
+    assert ", 2 recordings, " in what_was_run(named_alike)
 
 
 def test_what_is_alike_in_all_lines_is_said_once():

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Hashable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 from clothbench.core.statistics import t_interval
 from clothbench.display.answer import Card, answer
 from clothbench.display.html import group
+from clothbench.display.names import recording_of
 from clothbench.display.section import Section
 from clothbench.display.templates import rendered
 from clothbench.engine.study import Results
@@ -104,7 +106,8 @@ def cards(
     mine = [r for r in rows if way(r) == ranked[0].way]
     keys = {best_cell(some) for some in group(mine, lambda r: r["case"]).values()}
     found = [error_card(mine, metric), fabric_card(results, keys), *parameter_cards(results, keys)]
-    return [*(card for card in found if card), Card("Budget", *settled(rows, way, histories))]
+    free = Counter(p["key"] for p in results.table("parameters"))
+    return [*(card for card in found if card), Card("Budget", *settled(rows, way, histories, free))]
 
 
 def error_card(rows: Rows, metric: str) -> Card:
@@ -123,9 +126,9 @@ def error_card(rows: Rows, metric: str) -> Card:
     return Card(title, value, f"{shown}, {detail}", said=f"{value}{', ' if floor else ''}{times_noise}")
 
 
-def recordings_of(rows: Rows, metric: str, split: str) -> dict[str, list[dict[str, Any]]]:
+def recordings_of(rows: Rows, metric: str, split: str) -> dict[Hashable, list[dict[str, Any]]]:
     mine = once([r for r in rows if r["metric"] == metric and r["split"] == split and r["recording"]])
-    return group([r for r in mine if r["value"] is not None], lambda r: r["recording"])
+    return group([r for r in mine if r["value"] is not None], recording_of(rows))
 
 
 def value_of(rows: Rows, metric: str, split: str) -> float:

@@ -16,6 +16,7 @@ from clothbench.studies.calibration.words import counted, listed
 Rows = Sequence[dict[str, Any]]
 Histories = Mapping[str, np.ndarray]  # value (E,) of every evaluation of a cell on its last mesh, by its key
 FEW = 3  # cases that are named one by one
+TELLS = 10  # evaluations of the last quarter below which it says nothing of what more of them would bring
 LATE, MUCH = 0.75, 0.02  # of a search, behind which a fall of the error by this share says that it was not done
 
 
@@ -32,7 +33,12 @@ def histories_of(store: Store, keys: Sequence[str]) -> dict[str, np.ndarray]:
 
 def least(values: np.ndarray, share: float = 1.0) -> float:
     """The least error in the first part of a search."""
-    return float(values[: max(1, round(share * len(values)))].min())
+    return float(values[: _part(values, share)].min())
+
+
+def _part(values: np.ndarray, share: float) -> int:
+    """How many evaluations the first part of a search has."""
+    return max(1, round(share * len(values)))
 
 
 def late_fall(values: np.ndarray) -> float:
@@ -41,8 +47,20 @@ def late_fall(values: np.ndarray) -> float:
     return 1.0 if not np.isfinite(before) else 0.0 if before == 0 else 1 - end / before
 
 
-def settled(rows: Rows, way: Callable[[dict[str, Any]], str], histories: Histories) -> tuple[str, str]:
-    """The budget in words, and whether more of it would lower errors or change the order of ways."""
+def too_few(histories: Histories, free: Mapping[str, int]) -> list[int]:
+    """How many evaluations the last quarter has, of each search where these are too few to tell whether more would
+    help: less than one more than it has free parameters, as one step may take, or than `TELLS`.
+    """
+    late = {key: len(values) - _part(values, LATE) for key, values in histories.items()}
+    return [count for key, count in late.items() if count < max(TELLS, free.get(key, 0) + 1)]
+
+
+def settled(
+    rows: Rows, way: Callable[[dict[str, Any]], str], histories: Histories, free: Mapping[str, int] | None = None
+) -> tuple[str, str]:  # fmt: skip
+    """The budget in words, and whether more of it would lower errors or change the order of ways. free: how many
+    parameters each cell has, by its key.
+    """
     about = {r["key"]: r for r in rows if r["key"] in histories}
     if not about:
         return "not known", "no search was kept"
@@ -52,7 +70,12 @@ def settled(rows: Rows, way: Callable[[dict[str, Any]], str], histories: Histori
     fits = sum(late_fall(histories[k]) > MUCH for k in about)
     finer = any((about[k]["evaluations"] or 0) > len(histories[k]) for k in about)
     late = f"a fit; in the last quarter{' of those on the finer mesh' if finer else ''}"
-    if not fits:
+    few = too_few({k: histories[k] for k in about}, free or {})
+    if not fits and few:
+        some = f" of {len(few)} of {len(about)}" if len(few) < len(about) else ""
+        most = f"{'at most ' if len(set(few)) > 1 else ''}{counted(max(few), 'evaluation')}"
+        said = f"a fit; too few to tell whether more would lower the error: the last quarter{some} has {most}"
+    elif not fits:
         said = f"{late} no error fell by more than 2\u00a0%: more would change little"
     else:
         which = f" ({listed(falling)})" if len(falling) <= FEW else ""
@@ -85,4 +108,4 @@ def order_said(
         return sorted(logs, key=lambda w: logs[w])
 
     same = order(LATE) == order(1.0)
-    return f"the order of models was {'the same' if same else 'another'} at three quarters of it"
+    return f"the order of ways was {'the same' if same else 'another'} at three quarters of it"

@@ -9,6 +9,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from clothbench.display.html import group
+from clothbench.display.names import recording_of
 from clothbench.engine.study import Results
 from clothbench.studies.calibration.analysis_tables import analyses
 from clothbench.studies.calibration.asked import with_settings
@@ -71,9 +72,10 @@ def error_table(suite: str, rows: Rows) -> Table:
 
 def overall(rows: Rows) -> list[str]:
     """Where a suite has several cases: the mean held-out error over all their recordings, for each way to fit them and
-    each seed; of how many of the way's cases it is, where a fit came to no number.
+    each seed; of how many of the way's cases it is, where a fit came to no number. A recording that was held out in
+    several cases counts once, as on the page.
     """
-    way, marks, out = way_of(rows), marks_of(rows), []
+    way, marks, place, out = way_of(rows), marks_of(rows), recording_of(rows), list[str]()
     judged = {r["case"] for r in rows if r["split"] == "held_out" and r["recording"]}
     for mine in group(rows, lambda r: (way(r), r["objective"])).values():
         cases = {r["case"] for r in mine if r["case"] in judged or r["status"] != "ok"}
@@ -83,7 +85,8 @@ def overall(rows: Rows) -> list[str]:
             known = {case: found for case, found in group(held, lambda r: r["case"]).items() if _numbers(found)}
             if len(cases) < 2 or not known or len({r["unit"] for found in known.values() for r in found}) > 1:
                 continue  # nor is there a mean of millimetres and centimetres
-            values = [r["value"] for found in known.values() for r in found]
+            judgements = group([r for found in known.values() for r in found], place)
+            values = [sum(r["value"] for r in each) / len(each) for each in judgements.values()]
             of = f"all {len(cases)} cases" if len(known) == len(cases) else f"{len(known)} of {len(cases)} cases"
             error = f"{size(sum(values) / len(values))} {held[0]['unit']}"
             what = f"{' · '.join([_called(held[0]), *marks(held[0])])}, seed {held[0]['seed']}"
