@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import Any
 
@@ -30,6 +31,26 @@ def recording_of(rows: Sequence[Mapping[str, Any]]) -> Callable[[Mapping[str, An
         return known if known in shared else (*known, row["case"])
 
     return place
+
+
+def settings_word(told: Mapping[str, Any]) -> str:
+    """Settings as rows keep them, "length=1.0 friction=0.1 meshes=9,17 …": a word each, without spaces."""
+    return " ".join(f"{name}={_written(value)}" for name, value in told.items())
+
+
+def _written(value: Any) -> str:
+    if isinstance(value, list | tuple):
+        return ",".join(map(_written, value))
+    return value if isinstance(value, str) else json.dumps(value, separators=(",", ":"))
+
+
+def differing(rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+    """Of each cell, by its key, the settings in which not all of these agree: "length=0.5, friction=0.1". Rows of an
+    earlier version have none.
+    """
+    words = {r["key"]: (r.get("settings") or "").split() for r in rows}
+    shared = set.intersection(*(set(mine) for mine in words.values() if mine)) if any(words.values()) else set[str]()
+    return {key: ", ".join(w for w in mine if w not in shared) for key, mine in words.items()}
 
 
 def duration(seconds: float) -> str:

@@ -34,6 +34,7 @@ from clothbench.studies.calibration.words import listed, size
 from clothbench.studies.fold_path.page import answer_of as led
 from clothbench.studies.folding.answer import answer_of as folded
 from clothbench.studies.folding.page import fold_section, path_figure
+from clothbench.studies.folding.tables import fold_table
 from clothbench.studies.mechanics.answer import answer_of as meant
 from clothbench.studies.mechanics.page import numbers
 from clothbench.studies.mechanics.tables import observed_orders
@@ -611,11 +612,39 @@ def test_folds_that_fail_or_are_stopped_count_and_are_not_within():
     two = [cell("adenim", "o"), cell("bdenim", "o", objective="node_error")]
     assert "m by o on node_error ends" in shown(folded("folds", steps[::2], two))
     assert "node_error" in fold_section(two, steps[::2]).html
-    drawn = path_figure([step("adenim", "good"), step("atwill", "good", length=0.5, z=0.4)])["data"]
+    names = {"adenim": "denim", "atwill": "twill"}
+    drawn = path_figure([step("adenim", "good"), step("atwill", "good", length=0.5, z=0.4)], names)["data"]
     assert [one["name"] for one in drawn[:4]] == [
         f"{n}, {x} m" for x in ("0.5", "1") for n in ("triangular", "circular")
     ]
     assert drawn[1]["x"][-1] == 0.25  # at half its length, where the way up ends
+
+
+def test_folds_of_one_fabric_are_told_apart_by_what_differs():
+    def cell(key: str, **more: Any) -> dict[str, Any]:
+        return row("m", "denim", None, 10.0, key=key, **more)
+
+    def names(*rows: dict[str, Any]) -> list[str]:
+        steps = [{"case": r["case"], "key": r["key"], "step": 1, "value": 9.0, "low": 8.0, "high": 11.0, "slips": False,
+                  "reference": 10.0, "reference_low": 8.0, "reference_high": 12.0, "friction": 0.3, "length": 1.0,
+                  "sheet": 9.0, "wall_s": 1.0, "x": 0.9, "z": 0.1} for r in rows]  # fmt: skip
+        section = fold_section(rows, steps)
+        last, by_step, path = section.data["folds"]
+        told = last["data"][0]["text"]
+        assert last["layout"]["yaxis"]["ticktext"] == [line["name"] for line in by_step["data"]] == told
+        assert [line["name"] for line in path["data"][2:]] == told
+        assert list(fold_table("folds", rows, steps).columns[0].cells) == told
+        return told
+
+    assert names(cell("a")) == ["denim"]
+    assert names(cell("a"), cell("b", optimizer="es")) == ["denim · ga", "denim · es"]
+    assert names(cell("a"), cell("b", seed=1)) == ["denim · seed 0", "denim · seed 1"]
+    told = [cell("a", settings="length=1.0 steps=9"), cell("b", settings="length=0.5 steps=9")]
+    assert names(*told) == ["denim · length=1.0", "denim · length=0.5"]
+    heads = [re.findall(r'<th scope="col"[^>]*>([^<]*)', fold_section(rows, []).html)[:4] for rows in (
+        [cell("a")], [cell("a"), cell("b", seed=1)], told)]  # fmt: skip
+    assert [head[3] for head in heads] == ["reference", "seed", "settings"]
+    assert "m by ga, length=0.5 comes to the end of none of 1 fabrics." in shown(folded("folds", [], told))
 
 
 def test_paths_that_fail_on_some_fabrics_come_behind():

@@ -11,10 +11,11 @@ import numpy as np
 
 from clothbench.display.answer import Card, answer
 from clothbench.display.html import group, pill, table, text
+from clothbench.display.names import differing
 from clothbench.display.plotly import COLOURS, GREY, rounded
 from clothbench.display.section import Section, drawing
 from clothbench.engine.study import Results
-from clothbench.studies.fold_path.tables import differing, lines, told_by, values
+from clothbench.studies.fold_path.tables import lines, told_by, values
 
 Rows = Sequence[dict[str, Any]]
 INTRO = """<p class="soft">One edge is led over so that it comes to lie on the other. Landing error: how far beside it

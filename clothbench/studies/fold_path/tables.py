@@ -8,6 +8,7 @@ from typing import Any
 from rich.markup import escape
 from rich.table import Table
 
+from clothbench.display.names import differing
 from clothbench.engine.study import Results
 
 Rows = Sequence[dict[str, Any]]
@@ -33,13 +34,6 @@ def lines(results: Results, suite: str) -> list[dict[str, Any]]:
         if row["metric"] == "friction":
             line["desk"], line["reason"] = row["reference"], row["reason"]
     return list(out.values())
-
-
-def differing(rows: Rows) -> dict[str, str]:
-    """Of each cell, by its key, the settings in which not all of these agree: "length=0.5, friction=0.1"."""
-    words = {r["key"]: (r.get("settings") or "").split() for r in rows}
-    shared = set.intersection(*map(set, words.values())) if words else set()
-    return {key: ", ".join(w for w in mine if w not in shared) for key, mine in words.items()}
 
 
 def path_table(suite: str, found: Rows) -> Table:

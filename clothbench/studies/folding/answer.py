@@ -10,7 +10,7 @@ import numpy as np
 
 from clothbench.display.answer import Card, answer
 from clothbench.display.html import group, text
-from clothbench.display.names import duration
+from clothbench.display.names import differing, duration
 from clothbench.studies.folding.tables import asked, has_interval, inside, last_steps
 
 Rows = Sequence[dict[str, Any]]
@@ -48,8 +48,11 @@ def ways(steps: Rows, cells: Mapping[str, dict[str, Any]]) -> list[Way]:
         if len({c.get(column) for c in cells.values()}) > 1
     ]  # fmt: skip
 
+    settings = differing(list(cells.values()))
+
     def name(c: dict[str, Any]) -> str:
-        return " ".join([f"{c['model']} by {c['optimizer']}", *(w.format(c.get(n)) for n, w in told if c.get(n))])
+        way = " ".join([f"{c['model']} by {c['optimizer']}", *(w.format(c.get(n)) for n, w in told if c.get(n))])
+        return ", ".join(filter(None, (way, settings[c["key"]])))
 
     out = []
     for way, mine in group(list(cells.values()), name).items():

@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.parameters import ParameterSpace
 from clothbench.core.progress import FileProgress
+from clothbench.display.names import settings_word
 from clothbench.engine.cells import digest, options_in_use, plugin_versions, seed_of
 from clothbench.engine.settings import (
     OF_SUITE,
@@ -79,7 +80,12 @@ class FoldingCell:
 
     @property
     def row_columns(self) -> Mapping[str, Any]:
-        return {}
+        """What is asked beside what rows have columns for: "length=1.0 steps=10 … evaluations=200 …", a word each."""
+        told = {**asdict(self.fold), "tracker": self.tracker, "evaluations": self.evaluations}
+        told |= {f"bounds.{name}": ends for name, ends in self.bounds.items()}
+        for of, options in options_in_use(self.options, (name for _, name in self.uses)).items():
+            told |= {f"{of}.{name}": value for name, value in options.items()}
+        return {"settings": settings_word(told)}
 
     @property
     def cases(self) -> tuple[str, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
@@ -15,7 +15,7 @@ from clothbench.display.plotly import COLOURS, GREY, rounded
 from clothbench.display.section import Section, drawing
 from clothbench.engine.study import Results
 from clothbench.studies.folding.answer import answer_of
-from clothbench.studies.folding.tables import has_interval, inside
+from clothbench.studies.folding.tables import called, has_interval, inside, told_by, with_settings
 
 Rows = Sequence[dict[str, Any]]
 INTRO = """<p class="soft">A strip is lifted step by step; after each step its stiffness is estimated from a laser
@@ -39,10 +39,11 @@ def fold_section(rows: Rows, steps: Rows) -> Section:
     for suite, mine in sorted(group(rows, lambda r: r["suite"]).items()):
         keys = {r["key"] for r in mine}
         found += answer_of(suite, [s for s in steps if s["key"] in keys], mine)
+    names = called(rows)
     shown = (
-        (last_figure(steps), "Reference with its ± 2σ (grey), and the last step's estimate with its interval."),
-        (step_figure(steps), "The estimate after every step over the reference."),
-        (path_figure(steps), "Where the gripper was sent, between the triangular and the circular path."),
+        (last_figure(steps, names), "Reference with its ± 2σ (grey), and the last step's estimate with its interval."),
+        (step_figure(steps, names), "The estimate after every step over the reference."),
+        (path_figure(steps, names), "Where the gripper was sent, between the triangular and the circular path."),
     )
     figures = "".join(
         f'<figure><figcaption>{text(words)}</figcaption><div id="fold-{n}"></div></figure>'
@@ -53,12 +54,9 @@ def fold_section(rows: Rows, steps: Rows) -> Section:
 
 
 def fabrics(rows: Rows, steps: Rows) -> str:
-    """The table: fabric, reference, its range, the estimate of each step, friction, errors."""
-    count = max((s["step"] for s in steps), default=0)
-    several = len({r.get("objective") for r in rows}) > 1
-    about = {"fabric": "case", "model": "model", "optimizer": "optimizer"} | (
-        {"metric": "objective"} if several else {}
-    )
+    """The table: fabric, what else tells cells apart, reference, its range, the estimate of each step, friction."""
+    count, rows = max((s["step"] for s in steps), default=0), with_settings(rows)
+    about = {"fabric": "case", "model": "model", "optimizer": "optimizer"} | told_by(rows)
     head = [*about, "reference", "± 2σ", *map(str, range(1, count + 1)), "95 % interval", "sheet", "friction",
             "estimation", "status"]  # fmt: skip
     body = []
@@ -80,10 +78,10 @@ def fabrics(rows: Rows, steps: Rows) -> str:
     return table(head, body, numeric=set(range(len(about), len(about) + count + 6)))
 
 
-def last_figure(steps: Rows) -> dict[str, Any]:
-    """Estimates of the last step beside the references."""
+def last_figure(steps: Rows, called: Mapping[str, str]) -> dict[str, Any]:
+    """Estimates of the last step beside the references. called: what cells are called, by key."""
     last = list({s["key"]: s for s in steps}.values())
-    names = [escape(s["case"]) for s in last]
+    names = [escape(called[s["key"]]) for s in last]
     data = []
     for value, ends, colour, symbol, side, word in (
         ("reference", ("reference_low", "reference_high"), GREY, "cross", 0.12, "reference"),
@@ -101,19 +99,19 @@ def last_figure(steps: Rows) -> dict[str, Any]:
     return _figure(data, 120 + 34 * len(last), {"title": {"text": "η_b [m⁻⁴ s²]"}, "type": "log"}, y)
 
 
-def step_figure(steps: Rows) -> dict[str, Any]:
+def step_figure(steps: Rows, names: Mapping[str, str]) -> dict[str, Any]:
     """Estimate over reference, step by step."""
     data = []
     for n, key in enumerate(dict.fromkeys(s["key"] for s in steps)):
         mine = [s for s in steps if s["key"] == key]
         ratio = np.array([s["value"] / s["reference"] for s in mine])
-        data.append(_line([s["step"] for s in mine], rounded(ratio), n, mine[0]["case"], "%{y:.2f} at step %{x}"))
+        data.append(_line([s["step"] for s in mine], rounded(ratio), n, names[key], "%{y:.2f} at step %{x}"))
     y = {"title": {"text": "estimate over reference"}, "type": "log", "zeroline": False}
     return _figure(data, 380, {"title": {"text": "step"}, "zeroline": False}, y, legend=True)
 
 
-def path_figure(steps: Rows) -> dict[str, Any]:
-    """The gripper's path of every fabric between the two geometrical ones, those of every length of strip."""
+def path_figure(steps: Rows, names: Mapping[str, str]) -> dict[str, Any]:
+    """The gripper's path of every fold between the two geometrical ones, those of every length of strip."""
     data = []
     lengths = group(steps, lambda s: float(s["length"]))
     for length, some in sorted(lengths.items()):
@@ -125,7 +123,7 @@ def path_figure(steps: Rows) -> dict[str, Any]:
     for n, key in enumerate(dict.fromkeys(s["key"] for s in steps)):
         mine = [s for s in steps if s["key"] == key]
         x, z = ([mine[0]["length"], *(s["x"] for s in mine)], [0.0, *(s["z"] for s in mine)])
-        data.append(_line(rounded(x), rounded(z), n, mine[0]["case"], "x %{x:.3f} m, z %{y:.3f} m"))
+        data.append(_line(rounded(x), rounded(z), n, names[key], "x %{x:.3f} m, z %{y:.3f} m"))
     y = {"title": {"text": "z [m]"}, "scaleanchor": "x", "zeroline": False}
     return _figure(data, 520, {"title": {"text": "x [m]"}, "zeroline": False}, y, legend=True)
 

@@ -9,9 +9,15 @@ from typing import Any
 from rich.markup import escape
 from rich.table import Table
 
+from clothbench.display.names import differing
 from clothbench.engine.study import Results
 
 Rows = Sequence[dict[str, Any]]
+# What cells of one fabric may differ in: the column of a row, and how it is said.
+TOLD = {
+    "model": ("model", "{}"), "optimizer": ("optimizer", "{}"), "metric": ("objective", "on {}"),
+    "effects": ("effects", "with {}"), "seed": ("seed", "seed {}"), "settings": ("settings", "{}"),
+}  # fmt: skip
 
 
 def show(results: Results) -> list[Any]:
@@ -26,8 +32,35 @@ def show(results: Results) -> list[Any]:
     return out
 
 
+def told_by(rows: Rows) -> dict[str, str]:
+    """Columns that say what a cell is beside its fabric, and by which name rows have that: those in which they differ
+    (`with_settings`).
+    """
+    return {word: name for word, (name, _) in TOLD.items() if len({str(r.get(name)) for r in rows}) > 1}
+
+
+def with_settings(rows: Rows) -> list[dict[str, Any]]:
+    """The rows, of whose settings only those are left in which they differ."""
+    told = differing(rows)
+    return [{**r, "settings": told[r["key"]]} for r in rows]
+
+
+def called(rows: Rows) -> dict[str, str]:
+    """What to call each cell, by its key: its fabric, and what tells it from the others: "denim · ga · seed 1"."""
+    rows = with_settings(rows)
+    words = [TOLD[word] for word in told_by(rows)]
+    return {
+        r["key"]: " · ".join(
+            [r["case"], *(said.format(r[name]) for name, said in words if r.get(name) not in (None, ""))]
+        )
+        for r in rows
+    }
+
+
 def fold_table(suite: str, rows: Rows, steps: Rows) -> Table:
-    """One line per cell: reference with its ±2σ, the estimate of every step, the last one's interval, friction."""
+    """One line per cell, by what tells it from others: reference with its ±2σ, the estimate of every step, the last one's
+    interval, friction.
+    """
     table = Table(title=f"{escape(suite)}: estimate at every step", title_justify="left", title_style="bold")
     table.add_column("fabric", overflow="fold")
     for name in ("reference", "± 2σ"):
@@ -35,10 +68,10 @@ def fold_table(suite: str, rows: Rows, steps: Rows) -> Table:
     table.add_column("steps", overflow="fold")
     table.add_column("last", justify="right", no_wrap=True)
     table.add_column("friction", justify="right", no_wrap=True)
-    for key in dict.fromkeys(r["key"] for r in rows):
+    for key, name in called(rows).items():
         mine = [s for s in steps if s["key"] == key]
         row = next(r for r in rows if r["key"] == key)
-        table.add_row(*(escape(t) for t in (_line(row, mine) if mine else _failed(row))))
+        table.add_row(*(escape(t) for t in (name, *(_line(row, mine) if mine else _failed(row)))))
     return table
 
 
@@ -49,11 +82,11 @@ def _line(row: dict[str, Any], steps: Rows) -> list[str]:
     late = f" {row['status']}" if row["status"] != "ok" else ""
     mark = late or ("" if inside(last) else " outside")
     friction = f"{max(s['friction'] for s in steps):.2f}" + (" slips" if any(s["slips"] for s in steps) else "")
-    return [row["case"], f"{first['reference']:.2g}", between, told, f"{last['value']:.3g}{mark}", friction]
+    return [f"{first['reference']:.2g}", between, told, f"{last['value']:.3g}{mark}", friction]
 
 
 def _failed(row: dict[str, Any]) -> list[str]:
-    return [row["case"], "", "", row["status"], "", ""]
+    return ["", "", row["status"], "", ""]
 
 
 def inside(step: dict[str, Any]) -> bool:

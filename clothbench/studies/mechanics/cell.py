@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
@@ -12,6 +11,7 @@ from typing import Any, ClassVar
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.progress import FileProgress
+from clothbench.display.names import settings_word
 from clothbench.engine.cells import digest, plugin_versions
 from clothbench.engine.settings import mapping, refuse, refuse_of_searches, whole, words
 from clothbench.modelling.curves import answers_sheets
@@ -20,7 +20,7 @@ from clothbench.studies.mechanics import VERSION
 from clothbench.studies.mechanics.checks import NAMES, Check, check_named
 
 MESHES = (9, 17, 33)
-MESHES_WORD = "meshes="  # of a row's settings, before the numbers of nodes
+MESHES_WORD = "meshes"  # of a row's settings, what the numbers of nodes are called
 SUITE_WORDS = frozenset({"tests", "meshes", "effects"})
 NOT_FITTED = ("optimizer", "metric", "effects", "report", "recording", "recordings", "bounds", "analysis", "prior")
 
@@ -64,8 +64,7 @@ class MechanicsCell:
     @property
     def row_columns(self) -> Mapping[str, Any]:
         """What is asked beside model and test: "meshes=9,17 integrator=bdf2 …", a word each."""
-        told = {name: f"{name}={_written(value)}" for name, value in self.options.items()}
-        return {"settings": " ".join([f"{MESHES_WORD}{_written(self.meshes)}", *map(told.get, sorted(told))])}
+        return {"settings": settings_word({MESHES_WORD: self.meshes, **self.options})}
 
     @property
     def metric(self) -> str:
@@ -127,13 +126,6 @@ def require_parameters(cell: MechanicsCell, plugins: Catalogue) -> None:
                 f"setting 'suite.effects.{wanted}': effect {name!r} has no parameter {lacks[0]!r}, which the test "
                 f"{cell.case!r} sets; it has {', '.join(known)}; name another effect"
             )
-
-
-def _written(value: Any) -> str:
-    """A setting as a command line has it, without spaces: "bdf2", "true", "9,17"."""
-    if isinstance(value, list | tuple):
-        return ",".join(map(_written, value))
-    return value if isinstance(value, str) else json.dumps(value, separators=(",", ":"))
 
 
 def _standing_for(test: str, effects: Mapping[str, Any]) -> dict[str, str]:

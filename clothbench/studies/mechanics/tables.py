@@ -9,6 +9,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from clothbench.display.html import group
+from clothbench.display.names import differing
 from clothbench.engine.study import Results
 from clothbench.studies.mechanics.cell import MESHES_WORD
 from clothbench.studies.mechanics.checks import CHECKS
@@ -30,17 +31,17 @@ def called(rows: Rows, meshes: bool = False) -> Callable[[dict[str, Any]], str]:
     if asked for, as where each cell stands by itself.
     """
 
-    def words(row: dict[str, Any]) -> list[str]:
-        return [word for word in _settings(row) if meshes or not word.startswith(MESHES_WORD)]
-
-    models, tested = group(rows, lambda r: r["model"]), group(rows, lambda r: (r["model"], r["case"]))
-    shared = {model: set.intersection(*(set(words(r)) for r in mine)) for model, mine in models.items()}
-    several = {about for about, mine in tested.items() if len({r["effects"] for r in mine}) > 1}
+    several = {
+        about for about, mine in group(rows, lambda r: (r["model"], r["case"])).items()
+        if len({r["effects"] for r in mine}) > 1
+    }  # fmt: skip
+    told: dict[str, str] = {}
+    for mine in group(rows, lambda r: r["model"]).values():
+        told |= differing(mine if meshes else [{**r, "settings": " ".join(_parted(r)[1])} for r in mine])
 
     def name(row: dict[str, Any]) -> str:
-        told = [word for word in words(row) if word not in shared[row["model"]]]
         effects = f"with {row['effects']}" if (row["model"], row["case"]) in several else ""
-        return ", ".join(filter(None, (row["model"], *told, effects)))
+        return ", ".join(filter(None, (row["model"], told[row["key"]], effects)))
 
     return name
 
@@ -52,15 +53,18 @@ def finest(rows: Rows, levels: Rows = ()) -> list[dict[str, Any]]:
     name, seen = called(rows), group(levels, lambda v: v["key"])
 
     def mesh(row: dict[str, Any]) -> tuple[list[int], str]:
-        told = [word.removeprefix(MESHES_WORD) for word in _settings(row) if word.startswith(MESHES_WORD)]
-        sizes = map(int, told[0].split(",")) if told else {v["along"] for v in seen.get(row["key"], ())}
+        sizes = _parted(row)[0] or {v["along"] for v in seen.get(row["key"], ())}
         return sorted(sizes, reverse=True), row.get("finished") or ""
 
     return [max(mine, key=mesh) for mine in group(rows, lambda r: (name(r), r["case"])).values()]
 
 
-def _settings(row: dict[str, Any]) -> list[str]:
-    return (row.get("settings") or "").split(" ")
+def _parted(row: dict[str, Any]) -> tuple[list[int], list[str]]:
+    """A row's settings: numbers of nodes, and all other words."""
+    words = (row.get("settings") or "").split()
+    meshes = [w.removeprefix(f"{MESHES_WORD}=") for w in words if w.startswith(f"{MESHES_WORD}=")]
+    others = [w for w in words if not w.startswith(f"{MESHES_WORD}=")]
+    return [int(n) for told in meshes for n in told.split(",")], others
 
 
 def relative_error(row: dict[str, Any]) -> float | None:
