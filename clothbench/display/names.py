@@ -45,11 +45,9 @@ def _written(value: Any) -> str:
 
 
 def differing(rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
-    """Of each cell, by its key, the settings in which not all of these agree: "length=0.5, friction=0.1". Rows of an
-    earlier version have none.
-    """
+    """Of each cell, by its key, the settings in which not all of these agree: "length=0.5, friction=0.1"."""
     words = {r["key"]: (r.get("settings") or "").split() for r in rows}
-    shared = set.intersection(*(set(mine) for mine in words.values() if mine)) if any(words.values()) else set[str]()
+    shared = set.intersection(*map(set, words.values())) if words else set()
     return {key: ", ".join(w for w in mine if w not in shared) for key, mine in words.items()}
 
 

@@ -272,6 +272,13 @@ def test_a_model_with_several_options_is_told_apart_everywhere(catalogue, tmp_pa
     assert "meshes" not in table
 
 
+def test_a_model_as_it_is_is_told_from_one_with_an_option():
+    about = {"model": "m", "case": "fall", "effects": ""}
+    rows = [{**about, "settings": f"meshes=9,17{more}", "key": more} for more in ("", " integrator=bdf2")]
+    assert [*map(called(rows), rows)] == ["m", "m, integrator=bdf2"]
+    assert len(finest(rows)) == 2
+
+
 def test_what_else_stands_for_an_effect_is_told_apart():
     rows = [{"model": "m", "case": "fall", "settings": None, "effects": e, "key": e} for e in ("drag", "lift")]
     assert [*map(called(rows), rows)] == ["m, with drag", "m, with lift"]

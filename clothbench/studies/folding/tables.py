@@ -58,8 +58,8 @@ def called(rows: Rows) -> dict[str, str]:
 
 
 def fold_table(suite: str, rows: Rows, steps: Rows) -> Table:
-    """One line per cell, by what tells it from others: reference with its ±2σ, the estimate of every step, the last one's
-    interval, friction.
+    """One line per cell, by what tells it from others: reference with its ±2σ, the estimate of every step, the last
+    one's interval, friction.
     """
     table = Table(title=f"{escape(suite)}: estimate at every step", title_justify="left", title_style="bold")
     table.add_column("fabric", overflow="fold")
