@@ -352,6 +352,16 @@ def test_speeds_are_kept_and_shown_as_a_study(tmp_path, monkeypatch):
         plan({**settings, "budget": 3}, catalogue())
 
 
+def test_each_size_of_sheet_is_measured_once_and_an_empty_list_is_none():
+    from clothbench.studies.speed.cell import mesh_sides
+
+    assert mesh_sides([9, 9, 21]) == (9, 21)
+    assert mesh_sides(9) == (9,)
+    assert mesh_sides(None) == bench.SIDES
+    with pytest.raises(ClothbenchError, match="setting 'suite.sides' is empty; give numbers of nodes"):
+        mesh_sides([])
+
+
 def test_speed_is_asked_anew_on_another_machine_or_beside_other_peers(install, monkeypatch):
     from clothbench.studies.speed import cell as of_speed
 

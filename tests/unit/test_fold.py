@@ -14,7 +14,7 @@ from clothbench.engine.suite import plan as planned
 from clothbench.plugins.discovery import catalogue
 from clothbench.reference.fabrics import FABRICS, chosen_fabrics
 from clothbench.reference.lifted_strip import lift
-from clothbench.studies.folding.cell import FoldingCell, FoldSettings, fold_settings
+from clothbench.studies.folding.cell import FoldingCell, FoldSettings, fold_settings, selected
 from clothbench.studies.folding.page import fold_section
 from clothbench.studies.folding.run import hand_of
 from clothbench.studies.folding.strip import TestStrip, scattered
@@ -37,6 +37,12 @@ def test_options_of_what_is_not_in_use_ask_nothing_else():
     for name in ("kirchhoff_love", "iterative_least_squares", "profile", "laser_profile", "grip_offset"):
         assert cell(options={name: {"word": 3}, "ga": {"generations": 3}}).key == cell(options={name: {"word": 3}}).key
         assert cell(options={name: {"word": 3}}).key != cell().key
+
+
+def test_an_empty_choice_of_fabrics_is_none():
+    assert selected({}) == selected({"select": None}) == ["*"]
+    with pytest.raises(ClothbenchError, match="setting 'suite.select' is empty; give patterns of fabrics' names"):
+        selected({"select": []})
 
 
 def test_the_table_of_fabrics_is_in_order():

@@ -195,6 +195,7 @@ def test_a_model_without_such_a_material_is_left_out(tmp_path):
         ({"layers": 2}, "say with 'suite.path.bonded'"),
         ({"layers": 0}, r"'suite\.path\.layers' is 0, expected a whole number, at least 1"),
         ({"bonded": 1}, "'suite.path.bonded' is 1, expected true or false"),
+        ({"thickness": -0.001}, "'suite.path.thickness' is -0.001, expected a number, at least 0"),
         ({"friction": -0.1}, "'suite.path.friction' is -0.1, expected a number above 0"),
         ({"lift": 0.5}, r"'suite\.path\.lift' is 0\.5 m, expected less than half the strip's 1 m"),
         ({"planner": 3}, "'suite.path.planner' is 3"),
@@ -206,10 +207,21 @@ def test_settings_are_checked(given, told):
         path_settings(given)
     with pytest.raises(ClothbenchError, match="there is no 'straight'"):
         chosen_ways(["straight"])
+    with pytest.raises(
+        ClothbenchError, match="'suite.path.ways' is empty; give some, for example .computed,triangular"
+    ):
+        chosen_ways([])
+    assert chosen_ways(None) == ["computed", "triangular", "circular"]
+    assert chosen_ways(["circular", "circular"]) == ["circular"]
     with pytest.raises(ClothbenchError, match="setting 'timeout': nothing is measured or fitted"):
         plan({**dict.fromkeys(NOT_USED, ()), "timeout": 9.0, "scene": {}}, catalogue())
     with pytest.raises(ClothbenchError, match="setting 'seed': nothing is measured or fitted"):
         plan({**dict.fromkeys(NOT_USED, ()), "seed": 7, "scene": {}}, catalogue())
+
+
+def test_an_empty_choice_of_fabrics_is_none():
+    with pytest.raises(ClothbenchError, match="setting 'suite.select' is empty"):
+        whole_plan(composed(["suite=fold_over", "suite.select=[]"]), catalogue())
 
 
 def test_a_model_that_is_named_twice_is_run_once():

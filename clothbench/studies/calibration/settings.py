@@ -41,7 +41,9 @@ def suite_settings(suite: Mapping[str, Any]) -> dict[str, Any]:
     out["textile"] = {p: _textile(p, t) for p, t in mapping("suite.textile", out.get("textile")).items()}
     if out.get("case", "fabric") not in CASES:
         raise ClothbenchError(f"setting 'suite.case' is {out['case']!r}, expected one of {', '.join(CASES)}")
-    out["select"] = words("suite.select", out.get("select")) or ["*"]
+    out["select"] = ["*"] if out.get("select") is None else words("suite.select", out["select"])
+    if not out["select"]:
+        raise ClothbenchError("setting 'suite.select' is empty; give patterns of recordings' names, or leave it out")
     out["each"] = words("suite.each", out.get("each"))
     out["together"] = words("suite.together", out.get("together"))
     if out["each"] and out["together"]:

@@ -126,7 +126,7 @@ def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | 
     suite, cells = settings["suite"], []
     given = mapping("suite.path", suite.get("path"))
     ways, about = chosen_ways(given.pop("ways", None)), path_settings(given)
-    fabrics = chosen_fabrics(words("suite.select", suite.get("select")) or ["*"])
+    fabrics = chosen_fabrics(_some("suite.select", suite.get("select"), ["*"]))
     for fabric, way, model in itertools.product(fabrics, ways, settings["model"]):
         cell = FoldPathCell(suite.get("name") or "fold_path", fabric, way, model, about, settings["options"])
         for kind, name in cell.uses:
@@ -136,10 +136,19 @@ def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | 
 
 
 def chosen_ways(given: Any) -> list[str]:
-    ways = words("suite.path.ways", given) or list(WAYS)
+    ways = _some("suite.path.ways", given, list(WAYS))
     if unknown := [w for w in ways if w not in WAYS]:
         raise ClothbenchError(f"setting 'suite.path.ways': there is no {unknown[0]!r}; there are: {', '.join(WAYS)}")
     return ways
+
+
+def _some(name: str, given: Any, usual: list[str]) -> list[str]:
+    """Names that a setting lists, each once; the usual ones where it is not given."""
+    if given is None:
+        return usual
+    if not (told := words(name, given)):
+        raise ClothbenchError(f"setting '{name}' is empty; give some, for example [{','.join(usual)}], or leave it out")
+    return list(dict.fromkeys(told))
 
 
 def path_settings(given: Mapping[str, Any]) -> PathSettings:
@@ -153,7 +162,7 @@ def path_settings(given: Mapping[str, Any]) -> PathSettings:
         whole("suite.path.layers", told["layers"], 1),
         whole("suite.path.nodes", told["nodes"], 9),
     )
-    told["thickness"] = number("suite.path.thickness", told["thickness"], -1e-12)
+    told["thickness"] = number("suite.path.thickness", told["thickness"], least=0.0)
     if told["lift"] >= told["length"] / 2:
         raise ClothbenchError(
             f"setting 'suite.path.lift' is {told['lift']:g} m, expected less than half the strip's "

@@ -214,4 +214,8 @@ def fold_settings(given: Mapping[str, Any]) -> FoldSettings:
 
 def selected(suite: Mapping[str, Any]) -> list[str]:
     """Patterns of fabrics' names; all if there are none."""
-    return words("suite.select", suite.get("select")) or ["*"]
+    if suite.get("select") is None:
+        return ["*"]
+    if not (given := words("suite.select", suite["select"])):
+        raise ClothbenchError("setting 'suite.select' is empty; give patterns of fabrics' names, or leave it out")
+    return given

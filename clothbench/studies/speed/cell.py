@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar
 
+from clothbench.core.errors import ClothbenchError
 from clothbench.core.parallel import thread_count
 from clothbench.core.progress import FileProgress
 from clothbench.engine.cells import digest, plugin_versions
@@ -66,13 +67,22 @@ def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | 
     refuse(settings, NOT_TIMED, "speed is measured on a scene of its own, with options of each model's own",
            "speed is measured on a scene of its own")  # fmt: skip
     refuse_of_searches(settings, "speed is measured on a scene of its own, and nothing is fitted")
-    given = settings["suite"].get("sides") or SIDES
-    sides = tuple(whole("suite.sides", n, 5) for n in (given if isinstance(given, list | tuple) else [given]))
+    sides = mesh_sides(settings["suite"].get("sides"))
     models = tuple(dict.fromkeys(settings["model"]))
     peers = tuple(peer.name for peer, reason in peers_in(plugins) if reason is None)
     used = [("models", name) for name in models or plugins.names("models")] + [("peers", name) for name in peers]
     versions = plugin_versions(used, plugins)
     return [SpeedCell(settings["suite"].get("name") or "speed", models, sides, versions, peers, this_machine())]
+
+
+def mesh_sides(given: Any) -> tuple[int, ...]:
+    """Nodes along each side of the sheets, each once."""
+    if given is None:
+        return SIDES
+    sides = given if isinstance(given, list | tuple) else [given]
+    if not sides:
+        raise ClothbenchError("setting 'suite.sides' is empty; give numbers of nodes, for example [9,21]")
+    return tuple(dict.fromkeys(whole("suite.sides", n, 5) for n in sides))
 
 
 def this_machine() -> dict[str, str | int]:
