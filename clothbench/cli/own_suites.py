@@ -141,6 +141,16 @@ def each_choice(arguments: Sequence[str]) -> Iterator[list[str]]:
         yield [several[min(n, len(several) - 1)] for several in values]
 
 
+def where_searched(arguments: Sequence[str]) -> list[str]:
+    """The setting by which Hydra finds the suites of the folders that are named, where some are."""
+    return [_searched(folders)] if (folders := _folders(arguments)) else []
+
+
+def _searched(folders: Sequence[Path]) -> str:
+    places = [f"file://{folder}".replace("\\", "\\\\").replace("'", "\\'") for folder in folders]
+    return "hydra.searchpath=[" + ",".join(f"'{place}'" for place in places) + "]"
+
+
 def _after(arguments: Sequence[str]) -> list[str]:
     """Words that belong to a flag."""
     return [after for word, after in itertools.pairwise(arguments) if word in FLAGS]
@@ -164,11 +174,10 @@ def _values(word: str) -> list[str]:
 
 def require_no_hydra(folder: Path, words: Sequence[str]) -> None:
     """Refuse settings in which a suite of the folder's has changed Hydra's own."""
-    place = f"file://{folder}".replace("\\", "\\\\").replace("'", "\\'")
     try:
         with initialize_config_module("clothbench.conf", version_base="1.3"):
             usual = _hydras(compose("run", return_hydra_config=True))
-            asked = [f"hydra.searchpath=['{place}']", *words]
+            asked = [_searched([folder]), *words]
             found = _hydras(compose("run", overrides=asked, return_hydra_config=True))
     except (HydraException, OmegaConfBaseException):
         raise

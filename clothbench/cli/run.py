@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import itertools
 import json
 import math
 import os
@@ -13,7 +15,7 @@ import tempfile
 import traceback
 import uuid
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from contextlib import redirect_stderr, suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -33,7 +35,7 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from clothbench.cli.idle import refuse_idle, say_alone, say_idle
-from clothbench.cli.own_suites import require_harmless, settings_among
+from clothbench.cli.own_suites import each_choice, require_harmless, settings_among, where_searched
 from clothbench.cli.results import print_results
 from clothbench.cli.settings_help import settings_help
 from clothbench.cli.spelling import as_setting, given_twice
@@ -44,7 +46,7 @@ from clothbench.engine.limits import Limits
 from clothbench.engine.mirror import results_folder, up_to_date
 from clothbench.engine.pool import failed, run_cells
 from clothbench.engine.progress import CellBar, Sweep, counting
-from clothbench.engine.settings import KNOWN, flat, last_word
+from clothbench.engine.settings import KNOWN, checked, flat, last_word
 from clothbench.engine.store import Store
 from clothbench.engine.suite import plan, suites_folder
 from clothbench.plugins.discovery import PluginBroken, catalogue, config_groups
@@ -65,6 +67,7 @@ TOGETHER = (
     "sweep's jobs, leave -m out and give each setting one value"
 )
 PATHS = re.compile(r"\+{0,2}(recording|recordings|out|data_dir)=")
+TRIED = 100  # jobs of a sweep whose settings are put together before the first begins, at a tenth of a second each
 NOT_READ = object()
 # What commas part: each in quotes, or with commas of its own in brackets.
 PARTS = re.compile(r"""\s*'(?:[^'\\]|\\.)*'\s*(?=,|$)|\s*"(?:[^"\\]|\\.)*"\s*(?=,|$)|(?:\[[^\]]*\]|[^,\[]|\[)+""")
@@ -108,6 +111,7 @@ def run(arguments: Sequence[str]) -> int:
         require_harmless(arguments)
         if sweep:
             require_known(arguments)
+            require_sound(arguments)
         hydra.main(version_base="1.3", config_path="pkg://clothbench.conf", config_name="run")(job)()
     except (HydraException, OmegaConfBaseException) as fault:
         raise ClothbenchError(_one_line(fault)) from fault
@@ -233,6 +237,24 @@ def require_known(words: Sequence[str]) -> None:
                     catalogue().find(KINDS[key], name.strip("'\" "))
 
 
+def require_sound(words: Sequence[str]) -> None:
+    """Refuse a sweep with a value that can be no setting, of whatever job: recordings are read as jobs come. Each value
+    is tried in one job at least, up to `TRIED` of them; nothing where another sweeper than Hydra's own makes the jobs.
+    """
+    if not jobs_of(words):
+        return
+    jobs = list(itertools.islice(each_choice(words), TRIED))
+    with redirect_stderr(io.StringIO()):  # what Hydra has to say of folders and words it says again
+        found = settings_of(jobs, where_searched(words))
+    for config in found:
+        executor_settings(config.get("executor"))
+        Limits.of(config.get("limits"))
+        out = tempfile.gettempdir() if is_address(config.get("out")) else config.get("out")
+        with suppress(PluginBroken):  # its own cells say so
+            study = catalogue().load("studies", str(config.get("study")))
+            checked({**config, "out": out}, catalogue(), study.suite_words)
+
+
 @cache
 def sweep_so_far() -> Sweep:
     """The sweep that the jobs of this process belong to."""
@@ -251,14 +273,22 @@ def sweep_now() -> Sweep | None:
 
 def composed(words: Sequence[str]) -> dict[str, Any]:
     """The settings that Hydra makes of KEY=VALUE words, for one job; nothing is run."""
+    return settings_of([either_way(words)])[0]
+
+
+def settings_of(jobs: Sequence[Sequence[str]], where: Sequence[str] = ()) -> list[dict[str, Any]]:
+    """The settings that Hydra makes of the words of several jobs; where: the word that says where else suites lie."""
     Plugins.instance().register(PluginSearchPath)
+    out = []
     try:
         with initialize_config_module("clothbench.conf", version_base="1.3"):
-            config = compose("run", overrides=either_way(words))
-        settings = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
+            for words in jobs:
+                config = compose("run", overrides=[*where, *words])
+                settings = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
+                out.append(last_word(settings, leaves(words)))  # type: ignore[arg-type]
     except (HydraException, OmegaConfBaseException) as fault:
         raise ClothbenchError(_one_line(fault)) from fault
-    return last_word(settings, leaves(either_way(words)))  # type: ignore[arg-type]
+    return out
 
 
 def job(config: Any) -> None:

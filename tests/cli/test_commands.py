@@ -26,6 +26,7 @@ from clothbench.cli.run import (
     either_way,
     jobs_of,
     require_known,
+    require_sound,
     run,
     say_all_skipped,
     say_twice,
@@ -307,9 +308,11 @@ def test_a_sweep_is_a_product_and_prints_one_table(clothbench, recordings_folder
 
 
 def test_a_job_that_is_refused_does_not_hide_the_others_of_its_sweep(clothbench, recordings_folder):
-    out = clothbench("run", "-m", f"recordings={recordings_folder}", *CELL, "seed=1,-1,2", "rerun=false")
+    """What it asks of its recordings is known when it comes; settings that can be none are refused before all."""
+    words = (*CELL, "seed=1,2", "suite.select=['*'],[zzz]", "rerun=false")
+    out = clothbench("run", "-m", f"recordings={recordings_folder}", *words)
     assert out.returncode == 2
-    assert "setting 'seed' is -1" in out.stderr.splitlines()[-1]
+    assert "setting 'suite.select' ['zzz'] matches none of" in out.stderr.splitlines()[-1]
     assert out.stdout.count("error, 95 % interval") == 1
     assert {r["seed"] for r in json.loads(clothbench("leaderboard", "--json").stdout)} == {1, 2}
 
@@ -403,6 +406,37 @@ def test_a_sweep_goes_over_what_hydra_makes_of_it(words, key, values):
 def test_a_folder_of_suites_hides_no_unknown_plugin():
     with pytest.raises(ClothbenchError, match="mass_sprung"):
         require_known(["-m", "--config-dir", "my-suites", "model=mass_spring,mass_sprung"])
+
+
+@pytest.mark.parametrize(
+    ("word", "found"),
+    [
+        ("seed=0,-1", "setting 'seed' is -1, expected a whole number, at least 0"),
+        ("budget=3,paperr", "setting 'budget' is 'paperr', expected a whole number"),
+        ("scene.resolution=[5,5],5", "expected [nodes along u, along v]"),
+        ("jobs=1,x", "setting 'jobs' is 'x'"),
+        ("limits.seconds=9,x", "setting 'limits.seconds' is 'x'"),
+        ("executor=local,dusk", "found no executor/dusk; did you mean 'dask'"),
+    ],
+)
+def test_a_wrong_value_in_a_sweep_is_refused_before_its_first_job(clothbench, recordings_folder, tmp_path, word, found):
+    given = [w for w in CELL if w.partition("=")[0] != word.partition("=")[0]]
+    out = clothbench("run", "-m", f"recordings={recordings_folder}", *given, word)
+    assert out.returncode == 2, out.stderr
+    assert found in only_line(out.stderr)
+    assert [p.name for p in tmp_path.iterdir()] == ["recordings"]
+
+
+def test_settings_of_a_sweep_over_suites_of_ones_own_are_looked_at(tmp_path):
+    (tmp_path / "suite").mkdir()
+    for name, seed in (("good", 1), ("bad", -3)):
+        (tmp_path / "suite" / f"{name}.yaml").write_text(
+            f"# @package _global_\nsuite: {{name: {name}}}\nseed: {seed}\n"
+        )
+    words = ["-m", "--config-dir", str(tmp_path)]
+    require_sound([*words, "+suite=good,static_dynamic", "out=s3://bucket/of/results", "hydra/launcher=basic"])
+    with pytest.raises(ClothbenchError, match="setting 'seed' is -3"):
+        require_sound([*words, "+suite=good,bad"])
 
 
 def test_settings_may_be_given_as_one_mapping():

@@ -358,7 +358,7 @@ def test_each_size_of_sheet_is_measured_once_and_an_empty_list_is_none():
     assert mesh_sides([9, 9, 21]) == (9, 21)
     assert mesh_sides(9) == (9,)
     assert mesh_sides(None) == bench.SIDES
-    with pytest.raises(ClothbenchError, match="setting 'suite.sides' is empty; give numbers of nodes"):
+    with pytest.raises(ClothbenchError, match=r"setting 'suite\.sides' is empty; give numbers of nodes"):
         mesh_sides([])
 
 

@@ -208,7 +208,7 @@ def test_settings_are_checked(given, told):
     with pytest.raises(ClothbenchError, match="there is no 'straight'"):
         chosen_ways(["straight"])
     with pytest.raises(
-        ClothbenchError, match="'suite.path.ways' is empty; give some, for example .computed,triangular"
+        ClothbenchError, match=r"'suite\.path\.ways' is empty; give some, for example .computed,triangular"
     ):
         chosen_ways([])
     assert chosen_ways(None) == ["computed", "triangular", "circular"]
@@ -220,7 +220,7 @@ def test_settings_are_checked(given, told):
 
 
 def test_an_empty_choice_of_fabrics_is_none():
-    with pytest.raises(ClothbenchError, match="setting 'suite.select' is empty"):
+    with pytest.raises(ClothbenchError, match=r"setting 'suite\.select' is empty"):
         whole_plan(composed(["suite=fold_over", "suite.select=[]"]), catalogue())
 
 
