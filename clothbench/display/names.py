@@ -34,7 +34,7 @@ def recording_of(rows: Sequence[Mapping[str, Any]]) -> Callable[[Mapping[str, An
 
 
 def settings_word(told: Mapping[str, Any]) -> str:
-    """Settings as rows keep them, "length=1.0 friction=0.1 meshes=9,17 …": a word each, without spaces."""
+    """Settings as rows keep them, "length=1.0 friction=0.1 meshes=9,17 …": a word each."""
     return " ".join(f"{name}={_written(value)}" for name, value in told.items())
 
 

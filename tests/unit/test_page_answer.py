@@ -449,7 +449,7 @@ def test_a_last_quarter_of_few_evaluations_does_not_tell():
     assert (
         said(10, 10) == "a fit; too few to tell whether more would lower the error: the last quarter has 2 evaluations"
     )
-    assert "the last quarter has 0 evaluations" in said(1)
+    assert said(1).endswith("the last quarter has 0 evaluations")  # at three quarters no order can be another
     assert "the last quarter of 1 of 2 has 2 evaluations" in said(10, 400)
     assert "too few" in said(48, free=12)
     assert said(48).endswith("no error fell by more than 2\u00a0%: more would change little")

@@ -74,8 +74,8 @@ def settled(
     if not fits and few:
         some = f" of {len(few)} of {len(about)}" if len(few) < len(about) else ""
         most = f"{'at most ' if len(set(few)) > 1 else ''}{counted(max(few), 'evaluation')}"
-        said = f"a fit; too few to tell whether more would lower the error: the last quarter{some} has {most}"
-    elif not fits:
+        return value, f"a fit; too few to tell whether more would lower the error: the last quarter{some} has {most}"
+    if not fits:
         said = f"{late} no error fell by more than 2\u00a0%: more would change little"
     else:
         which = f" ({listed(falling)})" if len(falling) <= FEW else ""

@@ -30,7 +30,6 @@ def called(rows: Rows, meshes: bool = False) -> Callable[[dict[str, Any]], str]:
     """What to call a row's model: with what cells of it differ in, "baraff_witkin, integrator=bdf2"; with their meshes
     if asked for, as where each cell stands by itself.
     """
-
     several = {
         about for about, mine in group(rows, lambda r: (r["model"], r["case"])).items()
         if len({r["effects"] for r in mine}) > 1
