@@ -254,6 +254,15 @@ def words(name: str, value: Any) -> list[str]:
     return list(values)
 
 
+def some_words(name: str, value: Any, usual: list[str]) -> list[str]:
+    """Names that a setting lists, each once; the usual ones where it is not given. None at all would run nothing."""
+    if value is None:
+        return usual
+    if not (told := words(name, value)):
+        raise ClothbenchError(f"setting '{name}' is empty; give some, for example [{','.join(usual)}], or leave it out")
+    return list(dict.fromkeys(told))
+
+
 def writable(value: Any) -> Path:
     """The results folder: it exists or can be made, and can be written to."""
     if not isinstance(value, str) or not value:

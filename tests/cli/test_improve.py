@@ -233,6 +233,8 @@ def test_recordings_of_several_weights_are_refused_and_several_fabrics_told(tmp_
     with pytest.raises(ClothbenchError, match=said):
         planned(areal_density=0.31)
     assert len(planned(("select", one.name), areal_density=0.31)) == 1
+    with pytest.raises(ClothbenchError, match=r"setting 'suite\.select' is empty"):
+        planned(("select", []))
     (cell,) = planned(fabric="")
     assert not any("one cloth" in line for line in remarks(cell, catalogue(), all_tried=False))
     (cell,) = planned(fabric="satin")  # one cloth may be called otherwise in each session

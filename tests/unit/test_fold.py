@@ -41,7 +41,7 @@ def test_options_of_what_is_not_in_use_ask_nothing_else():
 
 def test_an_empty_choice_of_fabrics_is_none():
     assert selected({}) == selected({"select": None}) == ["*"]
-    with pytest.raises(ClothbenchError, match=r"setting 'suite\.select' is empty; give patterns of fabrics' names"):
+    with pytest.raises(ClothbenchError, match=r"setting 'suite\.select' is empty; give some, for example"):
         selected({"select": []})
 
 

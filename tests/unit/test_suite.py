@@ -120,7 +120,7 @@ def test_recordings_of_one_name_are_told_apart_by_their_cases(tmp_path):
             {"suite": {"name": "s", "select": "zzz"}},
             r"'suite.select' \['zzz'\] matches none of 2 recordings: \w+-\d, \w+-\d$",
         ),
-        ({"suite": {"name": "s", "select": []}}, "'suite.select' is empty; give patterns of recordings' names"),
+        ({"suite": {"name": "s", "select": []}}, "'suite.select' is empty; give some, for example"),
         ({"model": "mass_sping"}, "did you mean 'mass_spring'"),
         ({"model": []}, "setting 'model' is empty"),
         ({"budget": 0}, "expected a whole number, at least 1"),

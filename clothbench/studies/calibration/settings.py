@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from clothbench.core.errors import ClothbenchError
-from clothbench.engine.settings import known_words, mapping, number, whole, words
+from clothbench.engine.settings import known_words, mapping, number, some_words, whole, words
 from clothbench.studies.calibration.schema import LEAST_BLOCKS
 
 SUITE_WORDS = frozenset(
@@ -41,9 +41,7 @@ def suite_settings(suite: Mapping[str, Any]) -> dict[str, Any]:
     out["textile"] = {p: _textile(p, t) for p, t in mapping("suite.textile", out.get("textile")).items()}
     if out.get("case", "fabric") not in CASES:
         raise ClothbenchError(f"setting 'suite.case' is {out['case']!r}, expected one of {', '.join(CASES)}")
-    out["select"] = ["*"] if out.get("select") is None else words("suite.select", out["select"])
-    if not out["select"]:
-        raise ClothbenchError("setting 'suite.select' is empty; give patterns of recordings' names, or leave it out")
+    out["select"] = some_words("suite.select", out.get("select"), ["*"])
     out["each"] = words("suite.each", out.get("each"))
     out["together"] = words("suite.together", out.get("together"))
     if out["each"] and out["together"]:

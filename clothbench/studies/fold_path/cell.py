@@ -20,8 +20,8 @@ from clothbench.engine.settings import (
     refuse,
     refuse_of_searches,
     require_plugins,
+    some_words,
     whole,
-    words,
 )
 from clothbench.plugins.discovery import Catalogue
 from clothbench.reference.fabrics import chosen_fabrics, fabric_named
@@ -126,7 +126,7 @@ def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | 
     suite, cells = settings["suite"], []
     given = mapping("suite.path", suite.get("path"))
     ways, about = chosen_ways(given.pop("ways", None)), path_settings(given)
-    fabrics = chosen_fabrics(_some("suite.select", suite.get("select"), ["*"]))
+    fabrics = chosen_fabrics(some_words("suite.select", suite.get("select"), ["*"]))
     for fabric, way, model in itertools.product(fabrics, ways, settings["model"]):
         cell = FoldPathCell(suite.get("name") or "fold_path", fabric, way, model, about, settings["options"])
         for kind, name in cell.uses:
@@ -136,19 +136,10 @@ def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | 
 
 
 def chosen_ways(given: Any) -> list[str]:
-    ways = _some("suite.path.ways", given, list(WAYS))
+    ways = some_words("suite.path.ways", given, list(WAYS))
     if unknown := [w for w in ways if w not in WAYS]:
         raise ClothbenchError(f"setting 'suite.path.ways': there is no {unknown[0]!r}; there are: {', '.join(WAYS)}")
     return ways
-
-
-def _some(name: str, given: Any, usual: list[str]) -> list[str]:
-    """Names that a setting lists, each once; the usual ones where it is not given."""
-    if given is None:
-        return usual
-    if not (told := words(name, given)):
-        raise ClothbenchError(f"setting '{name}' is empty; give some, for example [{','.join(usual)}], or leave it out")
-    return list(dict.fromkeys(told))
 
 
 def path_settings(given: Mapping[str, Any]) -> PathSettings:

@@ -22,6 +22,7 @@ from clothbench.engine.settings import (
     refuse,
     refuse_strays,
     require_plugins,
+    some_words,
     whole,
     words,
 )
@@ -214,8 +215,4 @@ def fold_settings(given: Mapping[str, Any]) -> FoldSettings:
 
 def selected(suite: Mapping[str, Any]) -> list[str]:
     """Patterns of fabrics' names; all if there are none."""
-    if suite.get("select") is None:
-        return ["*"]
-    if not (given := words("suite.select", suite["select"])):
-        raise ClothbenchError("setting 'suite.select' is empty; give patterns of fabrics' names, or leave it out")
-    return given
+    return some_words("suite.select", suite.get("select"), ["*"])

@@ -13,7 +13,7 @@ from clothbench.core.progress import FileProgress
 from clothbench.core.scene import AIR_DENSITY
 from clothbench.engine.cells import Source, matching, plugin_versions, require_own_names, resplit
 from clothbench.engine.run import TRACKED
-from clothbench.engine.settings import one_word, refuse, refuse_strays, require_plugins, whole, words
+from clothbench.engine.settings import one_word, refuse, refuse_strays, require_plugins, some_words, whole
 from clothbench.engine.suite import where
 from clothbench.estimation.front import CHOICES
 from clothbench.estimation.prior import prior_of
@@ -89,7 +89,7 @@ def refuse_what_is_not_asked(settings: Mapping[str, Any]) -> None:
 def cases_of(recordings: Sequence[Any], settings: Mapping[str, Any]) -> dict[str, list[Source]]:
     """The recordings that `suite.select` names, by the case that each question is about."""
     suite, seed = settings["suite"], settings["seed"]
-    chosen = matching(recordings, words("suite.select", suite.get("select")) or ["*"])
+    chosen = matching(recordings, some_words("suite.select", suite.get("select"), ["*"]))
     if (by := suite.get("case")) not in (None, "fabric"):
         raise ClothbenchError(f"setting 'suite.case' is {by!r}, expected fabric, or null for all in one")
     if by is None:  # called by their folder
