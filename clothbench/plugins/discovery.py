@@ -28,7 +28,7 @@ from clothbench.plugins.hookspecs import Registration
 KINDS = ("models", "effects", "metrics", "optimizers", "trackers")
 ALL_KINDS = (*KINDS, "peers", "exporters", "studies")
 OWN = "clothbench"
-# What every class of a kind has (`core.protocols`), and not only its objects; and what these have.
+# What every class of a kind has (`core.protocols`), and not only its objects.
 MEMBERS = {
     "models": ("name", "version", "capabilities", "prepare"),
     "effects": ("name", "version", "place", "summary"),
@@ -36,7 +36,6 @@ MEMBERS = {
     "optimizers": ("name", "version", "ask", "tell"),
     "trackers": ("name", "version", "track"),
 }
-OF_OBJECTS = {"models": ("parameters",), "effects": ("parameters",)}
 PATIENCE = "CLOTHBENCH_IMPORT_SECONDS"  # of a stranger's plugin, compiling included; the environment may say
 IMPORT_SECONDS = 120.0
 
@@ -108,7 +107,8 @@ class Catalogue:
             if not (isinstance(fault, TypeError) and "argument" in str(fault)):
                 raise self._broken(self.find(kind, name), fault) from fault
             raise ClothbenchError(f"{singular(kind)} {name!r}: {_wrong(factory, options, fault)}") from fault
-        members = (*MEMBERS.get(kind, ()), *OF_OBJECTS.get(kind, ()))
+        # All effects that are installed are asked what they are before any of them is used.
+        members = (*MEMBERS[kind], "parameters") if kind == "effects" else ()
         if without := [member for member in members if not hasattr(made, member)]:
             raise self._broken(self.find(kind, name), ClothbenchError(_without(kind, without)))
         return made

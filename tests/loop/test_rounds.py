@@ -292,7 +292,27 @@ def test_a_second_name_has_to_hold_in_the_better_valley(monkeypatch, turn, valle
     monkeypatch.setattr(
         "clothbench.studies.improve.loop.recalibrated", lambda state, account: better if valley else state
     )
+    monkeypatch.setattr("clothbench.studies.improve.loop.too_much_left", lambda state: False)
     assert next_round(state, (), Account(lambda *_: None)) == ((nothing, False) if turn and valley else (named, True))
+
+
+@pytest.mark.parametrize(("left", "asked"), [(True, 2), (False, 1)])
+def test_before_names_fall_a_better_valley_is_sought_beside_them(monkeypatch, left, asked):
+    """Made-up: no round names anything more; in the better valley little is left."""
+    state, better, after, end = (SimpleNamespace(rounds=("named before",)) for _ in range(4))
+    rounds = []
+
+    def one_more(state, *_):
+        rounds.append(state)
+        return (end if state is better else after), False
+
+    monkeypatch.setattr("clothbench.studies.improve.loop.one_more", one_more)
+    monkeypatch.setattr("clothbench.studies.improve.loop.recalibrated", lambda *_: better)
+    monkeypatch.setattr("clothbench.studies.improve.loop.too_much_left", lambda state: left and state is after)
+    found, goes_on = next_round(state, (), Account(lambda *_: None))
+    assert found is (end if left else after)
+    assert not goes_on
+    assert rounds == [state, better][:asked]
 
 
 def with_wind(name: str, shapes: int, rms: float) -> Fitted:

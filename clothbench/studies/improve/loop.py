@@ -136,8 +136,8 @@ def next_round(state: State, candidates: Sequence[str], account: Account) -> tup
     where so much is left that what was named before would fall with it.
     """
     after, goes_on = one_more(state, candidates, account)
-    asked_again = goes_on or too_much_left(after)
-    if asked_again and state.rounds and (better := recalibrated(state, account)) is not state:
+    asked_again = bool(state.rounds) and (goes_on or too_much_left(after))
+    if asked_again and (better := recalibrated(state, account)) is not state:
         return next_round(better, candidates, account)
     return after, goes_on
 

@@ -98,8 +98,8 @@ def step_before(x, v, dt, f, mass, pins, touch, x_old, v_old):
             loose = 0.0
     for c in range(3):
         for e in range(x.shape[1]):
-            falls = loose if touch[e] == FREE else 0.0
-            a = falls * f[c, e] / mass[e]
+            falls = loose > 0.0 and touch[e] == FREE and mass[e] > 0.0
+            a = f[c, e] / mass[e] if falls else 0.0
             v_old[c, e] = v[c, e] - dt * a
             x_old[c, e] = x[c, e] - dt * v[c, e] + 0.5 * dt * dt * a
 
