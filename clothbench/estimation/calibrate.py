@@ -63,7 +63,8 @@ class Fit:
     def front(self) -> np.ndarray:
         """Numbers of the evaluations that no other is as good as in all objectives; the best's, where there is one."""
         if self.objectives is None:
-            return np.flatnonzero(np.isfinite(self.value) & (self.value == np.nanmin(self.value)))[:1]
+            known = np.flatnonzero(np.isfinite(self.value))
+            return known[np.argsort(self.value[known], kind="stable")][:1]
         return np.flatnonzero(on_front(self.objectives))
 
 

@@ -288,6 +288,11 @@ def test_a_run_out_of_time_begins_no_further_round_and_says_so():
     assert "time ran out" in finding.hint
 
 
+def test_where_no_node_is_seen_four_times_on_end_noise_is_not_known():
+    time, seen = np.arange(8) / 30.0, (np.arange(8) % 3 > 0)[:, None]
+    assert np.isnan(noise_of(Observation(time, np.zeros((8, 1, 3)), seen, np.nan, np.zeros((1, 2)))))
+
+
 def test_noise_of_single_recordings_is_no_drift():
     """The joint interval is that of a mean: single values lie outside it, which is no drift."""
     random = np.random.default_rng(0)

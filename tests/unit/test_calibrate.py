@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from clothbench import ClothbenchError, Observation, Outlines, Parameter, ParameterSpace, Rollout, Score
-from clothbench.estimation.calibrate import calibrate
+from clothbench.estimation.calibrate import Fit, calibrate
 from clothbench.estimation.intervals import clusters, error_interval, intervals, jackknife, mean_interval, mean_of_split
 from clothbench.estimation.trials import Trial, evaluate
 from clothbench.plugins.discovery import catalogue
@@ -367,6 +367,13 @@ def test_what_was_seen_is_told_by_truths_not_by_numbers():
     assert seen.visible.sum() == 4
     with pytest.raises(ClothbenchError, match="found visible of int64 beside 0 and 1, expected true or false"):
         Observation(np.arange(3.0), position, np.full((3, 2), 2), 1e-3, material)
+
+
+def test_of_one_objective_the_front_is_the_best():
+    nowhere = dict(space=SPACE, best=TRUTH, low=TRUTH, high=TRUTH, at_bound=TRUTH > 0, theta=TRUTH, condition=1.0)
+    for value, front in (([3.0, np.nan, 1.0, 1.0], [2]), ([np.nan, np.nan], [])):
+        fit = Fit(**nowhere, value=np.array(value), status="ok", stopped="", wall_s=0.0)
+        assert fit.front.tolist() == front
 
 
 def test_an_optimizer_that_asks_nothing_is_told():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
@@ -251,8 +252,9 @@ def noise_of(observation: Observation) -> float:
     weight = 1 / apart.prod(axis=2)
     weight /= np.sqrt(np.square(weight).sum(axis=1, keepdims=True))
     near = four[:, 3] - four[:, 0] <= 2 * np.median(four[:, 3] - four[:, 0])
-    third = sum(weight[near, k, None, None] * x[k : len(time) - 3 + k][near] for k in range(4))
-    return 1.4826 * float(np.nanmedian(np.abs(third)))
+    third = np.sum([weight[near, k, None, None] * x[k : len(time) - 3 + k][near] for k in range(4)], axis=0)
+    known = third[np.isfinite(third)]
+    return 1.4826 * float(np.median(np.abs(known))) if known.size else math.nan
 
 
 def field_of(observation: Observation, residual: np.ndarray) -> np.ndarray:
