@@ -6,7 +6,9 @@ import sys
 from collections.abc import Iterable
 from typing import Any
 
-from clothbench.display.failures import failure_line, failures
+from rich.markup import escape
+
+from clothbench.display.failures import failures, places
 from clothbench.display.terminal import console
 from clothbench.engine.store import Store
 from clothbench.engine.study import results_by_study
@@ -23,6 +25,7 @@ def print_results(store: Store, keys: Iterable[str] | None = None) -> list[dict[
         rows += results.rows
         for shown in study.show(results):
             out.print(shown, soft_wrap=isinstance(shown, str))
-    for row in failures(rows):
-        out.print(failure_line(row), soft_wrap=True)
+    bad = failures(rows)
+    for row, place in zip(bad, places(bad), strict=True):
+        out.print(f"[red]{row['status']}[/]: {escape(place)}: {escape(row['reason'] or '')}", soft_wrap=True)
     return rows

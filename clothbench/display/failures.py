@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from rich.markup import escape
-
 from clothbench.display.names import model_name
 
 Rows = Sequence[dict[str, Any]]
@@ -23,12 +21,22 @@ def failures(rows: Rows) -> list[dict[str, Any]]:
     return list(seen.values())
 
 
-def failure_line(row: dict[str, Any]) -> str:
-    """A cell that failed, and why, for the terminal."""
-    return f"[red]{row['status']}[/]: {escape(_label(row))}: {escape(row['reason'] or '')}"
+def places(rows: Rows) -> list[str]:
+    """What to call each of the rows of `failures`, "linen · mass_spring · ga · node_error · linen-1": with seed, budget
+    and settings where cells would else be called the same.
+    """
+    called = [_place(row) for row in rows]
+    return [
+        name if called.count(name) == 1 else " · ".join([name, *_marks(row)])
+        for name, row in zip(called, rows, strict=True)
+    ]
 
 
-def _label(row: dict[str, Any]) -> str:
+def _place(row: dict[str, Any]) -> str:
     model = model_name(row) if row["model"] else None
     parts = (row["case"], model, row["optimizer"], row["metric"], row["recording"])
     return " · ".join(p for p in parts if p)
+
+
+def _marks(row: dict[str, Any]) -> list[str]:
+    return [f"{name} {row[name]}" for name in ("seed", "budget", "settings") if row.get(name) is not None]

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from clothbench.core.files import whole_file
-from clothbench.display.failures import failures
+from clothbench.display.failures import failures, places
 from clothbench.display.html import pill, table, text
-from clothbench.display.names import model_name, recording_of
+from clothbench.display.names import recording_of
 from clothbench.display.page import whole_page
 from clothbench.display.section import Section
 from clothbench.engine.store import Store
@@ -89,10 +89,9 @@ def failure_list(rows: Rows) -> str:
     if not (bad := failures(rows)):
         return ""
     items = []
-    for r in bad:
-        place = (r["suite"], r["case"], model_name(r), r["optimizer"], r["metric"], r["recording"])
-        reason = text(r["reason"] or "no reason given")
-        items.append(f"<li>{pill(r)} {text(' · '.join(p for p in place if p))}: {reason}</li>")
+    for r, place in zip(bad, places(bad), strict=True):
+        where, reason = " · ".join(filter(None, (r["suite"], place))), text(r["reason"] or "no reason given")
+        items.append(f"<li>{pill(r)} {text(where)}: {reason}</li>")
     word = "1 cell has" if len(bad) == 1 else f"{len(bad)} cells have"
     return f'<div class="failures" role="note"><b>{word} no complete result</b><ul>{"".join(items)}</ul></div>'
 

@@ -15,7 +15,7 @@ import pytest
 from rich.console import Console
 from test_rerun_file import small_cell
 
-from clothbench.display.failures import failures
+from clothbench.display.failures import failures, places
 from clothbench.display.html import table
 from clothbench.display.parameters import parameters
 from clothbench.display.plotly import thinned
@@ -134,6 +134,18 @@ def test_the_worst_of_a_cell_is_told_and_it_is_skipped_only_if_all_of_it_is(stat
     assert [row["reason"] for row in failures(rows)] == [told]
     assert told in failure_list(rows)
     assert what_was_run(rows).split("<p>")[1].startswith(f"1 cell, {counted}, 1 case,")
+
+
+def test_failed_cells_that_would_be_called_the_same_are_told_apart():
+    (one,) = of_one_cell("error")
+    rows = [{**one, "key": k, "seed": 1, "budget": 9, "settings": k * 6} for k in ("a", "b")]
+    rows.append({**one, "key": "c", "model": "n", "seed": 1})
+    assert places(failures(rows)) == [
+        "c · m · o · m0 · r · seed 1 · budget 9 · settings aaaaaa",
+        "c · m · o · m0 · r · seed 1 · budget 9 · settings bbbbbb",
+        "c · n · o · m0 · r",
+    ]
+    assert "s · c · m · o · m0 · r · seed 1 · budget 9 · settings bbbbbb: why 0" in failure_list(rows)
 
 
 def test_text_is_escaped_everywhere(results):
