@@ -93,13 +93,13 @@ def _mean_grip(knots, curve, grips, t, c):
 
 
 @lean_kernel
-def keep_out(x, v, obstacles, free, lane, lanes, extra=None):
+def keep_out(x, v, obstacles, free, lane, lanes, extra=None, heavier=False):
     """Put the nodes of one lane that are inside an obstacle on its surface; see the module for the scheme.
 
     x (3, n·lanes) m and v m/s are changed in place, after a step; node i of a lane is entry i·lanes + lane.
     obstacles: `obstacle_table`, where they are after the step (`carry`); free (n·lanes,): inverse mass, 0 for a node
-    that is held and stays where it is; extra (6, n) kg: what effects added to the masses, as of `bear_inertia`, of one
-    lane. Air that is pressed on with a node presses, and is not dragged along.
+    that is held and stays where it is; extra (6, n) kg: what effects added to the masses of one lane, if they made it
+    `heavier` (`apply_effects`). Air that is pressed on with a node presses, and is not dragged along.
     """
     for k in range(obstacles.shape[0]):
         kind, friction = obstacles[k, OBSTACLE.kind], obstacles[k, OBSTACLE.friction]
@@ -109,10 +109,10 @@ def keep_out(x, v, obstacles, free, lane, lanes, extra=None):
                 continue
             depth, nx, ny, nz = inside(kind, obstacles, k, x[0, e], x[1, e], x[2, e])
             if depth > 0.0:
-                grip = friction
-                if extra is not None:
-                    grip *= _pressed_over_dragged(v, e, nx, ny, nz, drift, free[e], extra)
-                _put_on(x, v, e, depth, nx, ny, nz, grip, drift)
+                rub = friction
+                if extra is not None and heavier:
+                    rub *= _pressed_over_dragged(v, e, nx, ny, nz, drift, free[e], extra)
+                _put_on(x, v, e, depth, nx, ny, nz, rub, drift)
 
 
 @lean_kernel

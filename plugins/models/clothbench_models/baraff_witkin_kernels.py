@@ -411,10 +411,7 @@ def _march_adaptive(
             put(push[0], push[6])
             if obstacles.shape[0] > 0:
                 carry(obstacles, grips.knots, grips.curve, start, t + h, h)
-                if heavier:
-                    keep_out(x, v, obstacles, free, 0, 1, extra)
-                else:
-                    keep_out(x, v, obstacles, free, 0, 1)
+                keep_out(x, v, obstacles, free, 0, 1, extra, heavier)
                 fresh = True
             if layers.size[0] > 0.0:
                 if heavier:

@@ -121,10 +121,7 @@ def end_step(
     put(x_came, x)
     put(v_came, v)
     if obstacles.shape[0] > 0:
-        if heavier:
-            keep_out(x, v, obstacles, free, 0, 1, extra)
-        else:
-            keep_out(x, v, obstacles, free, 0, 1)
+        keep_out(x, v, obstacles, free, 0, 1, extra, heavier)
     if layers.size[0] > 0.0:
         if heavier:
             mobilities(free, extra, mobility)

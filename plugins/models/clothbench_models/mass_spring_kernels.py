@@ -543,10 +543,7 @@ def march(
                 keep_apart(x, v, dt_now[lane], free, layers)
             if obstacles.shape[0] > 0:
                 carry(obstacles, knots, curve, start, now, dt_now[lane])
-                if heavier:
-                    keep_out(x, v, obstacles, inverse_mass, lane, lanes, extra)
-                else:
-                    keep_out(x, v, obstacles, inverse_mass, lane, lanes)
+                keep_out(x, v, obstacles, inverse_mass, lane, lanes, extra, heavier)
             if steps[lane] > 0:
                 continue
             if count % CHECK_EVERY == 0 and is_lost(x, lane, lanes, limit):
