@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
@@ -26,9 +27,9 @@ def places(rows: Rows) -> list[str]:
     and settings where cells would else be called the same.
     """
     called = [_place(row) for row in rows]
+    times = Counter(called)
     return [
-        name if called.count(name) == 1 else " · ".join([name, *_marks(row)])
-        for name, row in zip(called, rows, strict=True)
+        name if times[name] == 1 else " · ".join([name, *_marks(row)]) for name, row in zip(called, rows, strict=True)
     ]
 
 

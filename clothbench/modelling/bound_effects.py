@@ -216,21 +216,19 @@ class BoundEffects(JoinedParameters):
 
 def _shown(found: Sequence[Any], position: np.ndarray, effect: Effect, what: str) -> np.ndarray:
     """What a sensor made of positions (B, T, N, 3) m, made sure: what it lost would pass for a sheet that diverged."""
-    out = np.empty(position.shape)
-    for b, (one, before) in enumerate(zip(found, position, strict=True)):
-        known = np.isfinite(before).all()
-        array = _finite(one, before.shape, effect, what) if known else np.asarray(one, dtype=float)
-        out[b] = array if array.shape == before.shape else np.nan
-    return out
+    of_each = zip(found, position, strict=True)
+    return np.stack([_finite(one, p.shape, effect, what, lost=not np.isfinite(p).all()) for one, p in of_each])
 
 
-def _finite(found: Any, shape: tuple[int, ...], effect: Effect, what: str) -> np.ndarray:
-    """What an effect gave, made sure: compiled loops index it unchecked, and wait for a time that is not a number."""
+def _finite(found: Any, shape: tuple[int, ...], effect: Effect, what: str, lost: bool = False) -> np.ndarray:
+    """What an effect gave, made sure: compiled loops index it unchecked, and wait for a time that is not a number.
+    lost: whether it was shown a member that diverged, and may give anything of the right shape.
+    """
     try:
         array = np.asarray(found, dtype=float)
     except (TypeError, ValueError):
         array = np.empty(0)
-    if array.shape != shape or not np.isfinite(array).all():
+    if array.shape != shape or not (lost or np.isfinite(array).all()):
         raise ClothbenchError(
             f"effect {effect.name!r}: '{what}' gave {type(found).__name__} of shape {np.shape(array)}, expected finite "
             f"numbers of shape {shape}"
