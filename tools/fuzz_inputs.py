@@ -82,7 +82,8 @@ def spoil_table(path: Path, chance: random.Random) -> None:
 
 @cache
 def leaderboard_rows(bases: Path) -> list[Any]:
-    from clothbench.engine.store import Store, leaderboard_row
+    from clothbench.engine.leaderboard import leaderboard_row
+    from clothbench.engine.store import Store
 
     return [leaderboard_row(row) for row in Store(bases / "runs").rows()]
 

@@ -36,7 +36,9 @@ import numpy as np
 import psutil
 
 from clothbench.engine.check import check
-from clothbench.engine.store import Store, finished, outcome
+from clothbench.engine.disagreement import outcome
+from clothbench.engine.leaderboard import finished
+from clothbench.engine.store import Store
 from clothbench.plugins.discovery import catalogue
 from clothbench.recordings.nodes import Recording, write_recording
 

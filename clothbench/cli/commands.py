@@ -245,7 +245,7 @@ def _fetch_originals(name: str, settings: dict[str, str]) -> int:
 
 def leaderboard(options: argparse.Namespace) -> int:
     from clothbench.cli.results import print_results
-    from clothbench.engine.store import leaderboard_row
+    from clothbench.engine.leaderboard import leaderboard_row
 
     store = results_in(options.out)
     if options.json:

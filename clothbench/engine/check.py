@@ -11,20 +11,12 @@ import pyarrow as pa
 
 from clothbench.core.errors import ClothbenchError, one_line
 from clothbench.core.files import entries, files_below, half_written, read_arrays, read_json
+from clothbench.engine.disagreement import recorded, why_apart
 from clothbench.engine.index import INDEX
+from clothbench.engine.leaderboard import FINISHED, ROW, ROWS
 from clothbench.engine.leases import LEASES, live
 from clothbench.engine.run import TRACKED
-from clothbench.engine.store import (
-    FINISHED,
-    JOURNAL,
-    KEY,
-    ROW,
-    ROWS,
-    Store,
-    recorded,
-    recorded_machine,
-    why_apart,
-)
+from clothbench.engine.store import JOURNAL, KEY, Store
 from clothbench.engine.study import Study, studies
 from clothbench.engine.tables import as_declared, read_table
 from clothbench.plugins.discovery import Catalogue
@@ -153,7 +145,7 @@ def disagreeing(store: Store) -> Iterator[Finding]:
         if not store.cell(path.parent.name).is_dir():
             continue
         try:
-            (first, second), other = recorded(path), recorded_machine(path)
+            first, second, other = recorded(path)
         except ClothbenchError as said:
             yield Finding(path, str(said))
             continue

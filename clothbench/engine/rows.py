@@ -6,8 +6,8 @@ from typing import Any
 
 from clothbench.core.parallel import thread_count
 from clothbench.engine.cells import listed
-from clothbench.engine.store import now, system_info
 from clothbench.engine.study import Cell, Result
+from clothbench.engine.system import now, system_info
 
 
 def failure(cell: Cell, status: str, reason: str, evaluations: int = 0, wall_s: float = 0.0) -> Result:

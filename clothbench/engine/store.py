@@ -16,23 +16,18 @@ from __future__ import annotations
 
 import functools
 import json
-import math
 import os
-import platform
 import re
 import shutil
 import socket
 import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import pyarrow as pa
-
 from clothbench.core.create_only import require_create_only
 from clothbench.core.errors import ClothbenchError
-from clothbench.core.files import parsed_json, read_json, require_folder, whole_file, whole_folder
+from clothbench.core.files import read_json, require_folder, whole_file, whole_folder
 from clothbench.core.packed import Files, files_in, packed, unpacked, write_files
 from clothbench.engine.bucket import (
     ATTEMPT,
@@ -44,120 +39,28 @@ from clothbench.engine.bucket import (
     require_conditional,
 )
 from clothbench.engine.cells import VERSION, digest, installed_version
+from clothbench.engine.disagreement import agree, other_machine, outcome, why_apart
 from clothbench.engine.index import INDEX, indexed
-from clothbench.engine.tables import Columns, as_declared, read_if_there, read_table, write_table
+from clothbench.engine.leaderboard import (
+    ABOUT,
+    BEYOND,
+    LISTED,
+    NUMBERS,
+    QUESTION,
+    ROWS,
+    finished,
+    require_rows,
+    row_order,
+)
+from clothbench.engine.tables import Columns, read_if_there, read_table, write_table
 from clothbench.plugins.discovery import catalogue
 
 if TYPE_CHECKING:
     import pandas as pd
 
-_text, _number, _whole = pa.string(), pa.float64(), pa.int64()
-
-LISTED = "rows as `clothbench leaderboard --json` prints them"
-ANEW = "write the file anew with clothbench leaderboard --json"
-# The rows of `leaderboard --json`, in this order; what does not apply is null.
-ROW = {
-    "suite": _text, "case": _text, "recording": _text, "split": _text, "model": _text, "effects": _text,
-    "optimizer": _text, "metric": _text, "value": _number, "unit": _text, "low": _number, "high": _number,
-    "floor": _number, "reference": _number, "status": _text, "reason": _text, "evaluations": _whole,
-    "wall_s": _number, "seed": _whole, "key": _text,
-}  # fmt: skip
-# What else a row carries: the study that it is of (null in rows of earlier versions), the metric that was minimised,
-# how long a search was allowed, what all other settings were (a hash, the same for all cases of one run), and the
-# system it was computed on.
-SYSTEM = {
-    "study": _text,
-    "objective": _text, "budget": _whole, "settings": _text, "clothbench": _text, "plugins": _text,
-    "python": _text, "numpy": _text, "numba": _text, "platform": _text,
-    "cpu": _text, "cores": _whole, "threads": _whole, "finished": _text,
-}  # fmt: skip
-ROWS = {**ROW, **SYSTEM}
-ABOUT = ("suite", "case", "model")
-# What a cell asks beside its cases and recordings, as its rows have it.
-QUESTION = ("study", "suite", "model", "effects", "optimizer", "objective", "budget", "settings", "seed")
-NUMBERS = tuple(name for name, of in ROW.items() if of is _number)
-BEYOND = 1e100  # in any unit; sums of squares of less are numbers still
-FINISHED = ("ok", "diverged", "timeout", "skipped")  # an error is tried again, these are not
-
 KEY = re.compile(r"[0-9a-f]+")  # of a cell, and the name of its folder
 DISAGREEMENTS = "disagreements"  # folder of the records of cells that were computed twice and did not come to the same
-RECORD = "the record of a disagreement, as a run writes it"
 JOURNAL = "journal"  # folder of what unfinished cells have simulated
-SEEDLESS = "something in this cell does not go by its seed: a model, a tracker, or a library's threads"
-# What the last bits of a result depend on beside its cell, as its rows have it, and how it is called.
-MACHINE = {"cpu": "processor", "numpy": "numpy", "numba": "numba"}
-ROUNDING = 1e-9  # of a value: what another machine may make of the last bits
-
-
-def finished(rows: Sequence[Mapping[str, Any]]) -> bool:
-    """Whether these are the rows of a finished cell."""
-    return len(rows) > 0 and all(row["status"] in FINISHED for row in rows)
-
-
-def outcome(rows: Sequence[Mapping[str, Any]]) -> list[float | str]:
-    """What came of a cell, the same whenever and wherever it is computed: of each row its value, or why it has none."""
-    return [row["status"] if (value := finite(row["value"])) is None else value for row in rows]
-
-
-def other_machine(rows: Sequence[Mapping[str, Any]], others: Sequence[Mapping[str, Any]]) -> list[str]:
-    """What of `MACHINE` two results of one cell were computed with another one of, as far as both say."""
-
-    def said(name: str, of: Sequence[Mapping[str, Any]]) -> set[str]:
-        return {str(value) for row in of if (value := row.get(name)) is not None}
-
-    return [n for n in MACHINE if said(n, rows) and said(n, others) and said(n, rows) != said(n, others)]
-
-
-def agree(first: Sequence[float | str], second: Sequence[float | str], other: Collection[str]) -> bool:
-    """Whether two outcomes of one cell are the same: to the bit, on an `other` machine to within rounding."""
-
-    def alike(one: float | str, again: float | str) -> bool:
-        if isinstance(one, str) or isinstance(again, str) or not other:
-            return one == again
-        return math.isclose(one, again, rel_tol=ROUNDING)
-
-    return len(first) == len(second) and all(map(alike, first, second))
-
-
-def why_apart(other: Collection[str]) -> str:
-    """Why a cell may not have come to the same twice."""
-    if not other:
-        return SEEDLESS
-    machine = " and ".join(word for name, word in MACHINE.items() if name in other)
-    return f"the two were computed with another {machine}, which may be why: bits depend on it (docs/cluster.md)"
-
-
-def finite(value: float | None) -> float | None:
-    """None where there is no number: tables have nulls, JSON has no NaN and no infinity."""
-    return float(value) if value is not None and math.isfinite(value) else None
-
-
-@functools.cache
-def system_info() -> dict[str, Any]:
-    """The machine and the versions that a result was computed with."""
-    import numba
-    import numpy
-
-    import clothbench
-    from clothbench.core.parallel import available_cores
-
-    return {
-        "clothbench": clothbench.__version__, "python": platform.python_version(), "numpy": numpy.__version__,
-        "numba": numba.__version__, "platform": platform.platform(terse=True), "cpu": _cpu(),
-        "cores": available_cores(),
-    }  # fmt: skip
-
-
-def _cpu() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-        return next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
-    except (OSError, StopIteration):
-        return platform.processor()
-
-
-def now() -> str:
-    return datetime.now(UTC).isoformat(timespec="seconds")
 
 
 class Store:
@@ -377,34 +280,6 @@ def _rows_in(cell: Path) -> list[dict[str, Any]]:
     return read_table(cell / "rows.parquet").to_pylist()
 
 
-def recorded(path: Path) -> tuple[list[float | str], list[float | str]]:
-    """What a record of a disagreement holds: the outcome that stays, and the other; a ClothbenchError if it is none."""
-    found = read_json(path, RECORD)
-    both = [found.get(name) if isinstance(found, dict) else None for name in ("first", "second")]
-    if not all(isinstance(one, list) and all(isinstance(value, str | int | float) for value in one) for one in both):
-        raise ClothbenchError(f"{path}: found something else, expected {RECORD}")
-    return both[0], both[1]  # type: ignore[return-value]
-
-
-def recorded_machine(path: Path) -> list[str]:
-    """Of such a record what the second was computed with another one of; nothing in records of earlier versions."""
-    found = read_json(path, RECORD)
-    other = found.get("other") if isinstance(found, dict) else None
-    return [name for name in MACHINE if isinstance(other, list) and name in other]
-
-
-def row_order(row: dict[str, Any]) -> tuple[str, ...]:
-    """Sort key: suite, case, model …; within a cell the fit before the held-out split, totals after recordings."""
-    names = ("suite", "case", "model", "effects", "optimizer", "metric", "split")
-    return (*(row[n] or "" for n in names), "0" if row["recording"] else "1", row["recording"] or "")
-
-
-def leaderboard_row(row: dict[str, Any]) -> dict[str, Any]:
-    """A row as `leaderboard --json` prints it: its keys only, null for what is no finite number."""
-    values = ((name, row.get(name)) for name in ROW)
-    return {name: finite(value) if isinstance(value, float) else value for name, value in values}
-
-
 def load_rows(path: str | os.PathLike[str]) -> list[dict[str, Any]]:
     """Rows of a results folder, or of a file that `leaderboard --json` wrote."""
     path = Path(path)
@@ -424,24 +299,3 @@ def require_results(folder: Path, named: object) -> Path:
             f"{named}: found no results (no folder 'cells'); make some with clothbench run … out={named}"
         )
     return folder
-
-
-def rows_in(text: str, where: object) -> list[dict[str, Any]]:
-    """Rows in the text of a file that `leaderboard --json` wrote; where: what a fault calls it."""
-    return require_rows(parsed_json(text, str(where), LISTED), where)
-
-
-def require_rows(rows: Any, where: object) -> list[dict[str, Any]]:
-    """Rows with all columns of a leaderboard; what is no list of them is refused."""
-    if not isinstance(rows, list) or not all(
-        isinstance(r, dict) and {"suite", "status", "value"} <= set(r) for r in rows
-    ):
-        raise ClothbenchError(f"{where}: found something else than a list of rows, expected {LISTED}")
-    try:
-        table = pa.Table.from_pylist(
-            [{name: row.get(name) for name in ROW} for row in rows], pa.schema(list(ROW.items()))
-        )
-    except (pa.ArrowException, TypeError, ValueError, OverflowError) as fault:
-        said = (str(fault).splitlines() or [type(fault).__name__])[0]
-        raise ClothbenchError(f"{where}: found a value of another type ({said}), expected {LISTED}") from None
-    return as_declared(table, ROW, ("status",), str(where), ANEW).to_pylist()

@@ -17,7 +17,8 @@ from clothbench.core.errors import ClothbenchError
 from clothbench.core.progress import FileProgress, Progress, StageProgress
 from clothbench.display.section import Section
 from clothbench.engine.checkpoint import Checkpoint
-from clothbench.engine.store import FINISHED, KEY, Store, superseded
+from clothbench.engine.leaderboard import FINISHED
+from clothbench.engine.store import KEY, Store, superseded
 from clothbench.engine.tables import Columns
 from clothbench.plugins.discovery import Catalogue, PluginBroken
 

@@ -5,6 +5,7 @@ Whoever reads a table of known columns gets these columns, in these types, or on
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import stat
@@ -133,3 +134,8 @@ def as_declared(
 def _has_unseen(texts: pa.Array) -> bool:
     data = texts.buffers()[2]
     return data is not None and _UNSEEN.search(data) is not None
+
+
+def finite(value: float | None) -> float | None:
+    """None where there is no number: tables have nulls, JSON has no NaN and no infinity."""
+    return float(value) if value is not None and math.isfinite(value) else None

@@ -15,22 +15,18 @@ from clothbench.core.files import entries, placing, remove_folder, whole_file
 from clothbench.core.packed import files_in
 from clothbench.engine.cells import VERSION, installed_version
 from clothbench.engine.check import Finding, check_cell, fault, remains, tracked_in, unreadable
-from clothbench.engine.leases import LEASES, live
-from clothbench.engine.run import TRACKED
-from clothbench.engine.store import (
-    JOURNAL,
-    KEY,
-    ROWS,
+from clothbench.engine.disagreement import (
     SEEDLESS,
-    Store,
     agree,
-    finished,
     other_machine,
     outcome,
     recorded,
-    recorded_machine,
     why_apart,
 )
+from clothbench.engine.leaderboard import ROWS, finished
+from clothbench.engine.leases import LEASES, live
+from clothbench.engine.run import TRACKED
+from clothbench.engine.store import JOURNAL, KEY, Store
 from clothbench.engine.study import studies
 from clothbench.engine.tables import read_table
 from clothbench.plugins.discovery import Catalogue
@@ -69,7 +65,7 @@ def merge(source: Store, into: Store, plugins: Catalogue) -> Merged:
         out.findings += _merge_tracked(path, into.folder / TRACKED / path.name)
     for path in source.disagreements([*out.taken, *out.same]):
         try:
-            into.record(path.parent.name, *recorded(path), recorded_machine(path))
+            into.record(path.parent.name, *recorded(path))
         except ClothbenchError as said:
             out.findings.append(Finding(path, str(said)))
     return out

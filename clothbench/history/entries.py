@@ -26,7 +26,8 @@ from typing import Any
 from clothbench.core.errors import ClothbenchError, seen
 from clothbench.core.files import read_json, whole_file
 from clothbench.engine.cells import digest
-from clothbench.engine.store import Store, leaderboard_row, require_rows, rows_in
+from clothbench.engine.leaderboard import leaderboard_row, require_rows, rows_in
+from clothbench.engine.store import Store
 from clothbench.history.commits import Commit, commits_of, text_at
 
 SCHEMA = 1

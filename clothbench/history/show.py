@@ -10,7 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from clothbench.display.terminal import console
-from clothbench.engine.store import finite
+from clothbench.engine.tables import finite
 from clothbench.history.entries import Entry
 from clothbench.history.series import Change, Series
 

@@ -11,7 +11,7 @@ from rich.table import Table
 
 from clothbench.display.terminal import console
 from clothbench.engine.judgement import IDENTITY, Key, Row, has_number, identity, judge, other_unit, spread
-from clothbench.engine.store import finite
+from clothbench.engine.tables import finite
 
 Rows = Sequence[dict[str, Any]]
 

@@ -10,7 +10,8 @@ from typing import Any
 from clothbench.core.files import remove_folder
 from clothbench.display.html import group
 from clothbench.engine.cells import digest, listed, plugin_versions
-from clothbench.engine.store import Store, now, system_info
+from clothbench.engine.store import Store
+from clothbench.engine.system import now, system_info
 from clothbench.estimation.intervals import mean_of_split
 from clothbench.plugins.discovery import Catalogue
 from clothbench.studies.calibration.cell import asked_again

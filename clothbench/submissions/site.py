@@ -16,7 +16,7 @@ from clothbench.display.answer import Card, answer
 from clothbench.display.html import below, group, interval, table, text
 from clothbench.display.page import whole_page
 from clothbench.display.section import Section
-from clothbench.engine.store import now
+from clothbench.engine.system import now
 from clothbench.plugins.discovery import Catalogue
 from clothbench.recordings.nodes import Recording
 from clothbench.submissions.kept import rows_of

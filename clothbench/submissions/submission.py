@@ -31,7 +31,7 @@ from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import sha256, whole_file
 from clothbench.core.rollout import Rollout
 from clothbench.engine.cells import seed_of
-from clothbench.engine.store import finite
+from clothbench.engine.tables import finite
 from clothbench.estimation.intervals import interval_of
 from clothbench.plugins.discovery import Catalogue
 from clothbench.recordings.nodes import Recording, find_recordings, grips_at, read_recording

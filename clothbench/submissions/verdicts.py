@@ -17,7 +17,7 @@ from typing import Any
 import clothbench
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import read_json, sha256, whole_file
-from clothbench.engine.store import now, system_info
+from clothbench.engine.system import now, system_info
 from clothbench.submissions.submission import FILE
 from clothbench.submissions.verification import GRADE, REFUSED, REPRODUCED, VERIFIED
 

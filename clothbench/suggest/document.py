@@ -15,7 +15,7 @@ import numpy as np
 from clothbench.core.camera import LENSES
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import file_name, json_text, whole_files
-from clothbench.engine.store import finite
+from clothbench.engine.tables import finite
 from clothbench.recordings.nodes import Recording, write_recording
 from clothbench.suggest.cameras import Placed
 from clothbench.suggest.information import BEFOREHAND

@@ -35,8 +35,8 @@ from clothbench.cli.run import (
 from clothbench.cli.settings_help import settings_help, settings_meanings
 from clothbench.core.files import whole_folder
 from clothbench.display.film import read_film
+from clothbench.engine.leaderboard import ROW
 from clothbench.engine.settings import KNOWN
-from clothbench.engine.store import ROW
 from clothbench.engine.suite import plan
 from clothbench.plugins.discovery import catalogue
 from clothbench.studies.calibration.tables import error_table

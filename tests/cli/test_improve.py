@@ -18,8 +18,8 @@ from test_commands import only_line
 
 from clothbench import ClothbenchError, Recording, write_recording
 from clothbench.cli.improve import remarks, settings_of
-from clothbench.engine.store import read_table
 from clothbench.engine.suite import plan
+from clothbench.engine.tables import read_table
 from clothbench.plugins.discovery import catalogue
 from clothbench.recordings.scenes import scene_of
 from clothbench.studies.improve.prepare import prepare

@@ -19,7 +19,8 @@ import yaml
 from conftest import ROOT
 from test_gate import row
 
-from clothbench.engine.store import ROW, SYSTEM, Store
+from clothbench.engine.leaderboard import ROW, SYSTEM
+from clothbench.engine.store import Store
 
 TOKEN = "sekret-token"
 ACTION = yaml.safe_load((ROOT / "action.yml").read_text())

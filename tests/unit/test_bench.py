@@ -10,7 +10,7 @@ import pytest
 
 from clothbench import ClothbenchError
 from clothbench.display.terminal import console
-from clothbench.engine.store import system_info
+from clothbench.engine.system import system_info
 from clothbench.plugins.discovery import Catalogue, Plugin
 from clothbench.studies.speed import bench, timing
 from clothbench.studies.speed.answer import answer_of

@@ -17,8 +17,10 @@ from clothbench.cli import main
 from clothbench.core.packed import packed, unpacked
 from clothbench.engine import bucket as buckets
 from clothbench.engine.bucket import Bucket, mirrored, require_conditional
+from clothbench.engine.disagreement import recorded
+from clothbench.engine.leaderboard import ROW
 from clothbench.engine.mirror import mirror_of, pull, results_folder
-from clothbench.engine.store import ROW, Store, recorded
+from clothbench.engine.store import Store
 
 KEYS = [f"{n:016x}" for n in range(3)]
 
@@ -75,7 +77,7 @@ def test_the_second_of_a_cell_takes_the_first_and_a_disagreement_is_told(machine
     assert values(other, monkeypatch, refresh=False) == {KEYS[0]: 1.0, KEYS[1]: 1.0}
     (record,) = other.disagreements()
     values(one, monkeypatch)
-    assert [recorded(path) for path in one.disagreements()] == [recorded(record)] == [([1.0], [2.0])]
+    assert [recorded(path) for path in one.disagreements()] == [recorded(record)] == [([1.0], [2.0], [])]
     (name,) = Bucket(s3).names("disagreements")
     Bucket(s3).forget(name)
     values(one, monkeypatch)
@@ -99,7 +101,8 @@ def test_errors_have_keys_of_their_own_and_give_way_to_a_result(machines, s3, mo
 WRITES = """
 import sys
 from clothbench.engine.mirror import results_folder
-from clothbench.engine.store import ROW, Store
+from clothbench.engine.leaderboard import ROW
+from clothbench.engine.store import Store
 store = Store(results_folder(sys.argv[1]))
 for k in range(20):
     status = "error" if k < 10 else "ok"
@@ -127,7 +130,8 @@ DIES = """
 import os, signal, sys
 from clothbench.engine.bucket import Bucket
 from clothbench.engine.mirror import results_folder
-from clothbench.engine.store import ROW, Store
+from clothbench.engine.leaderboard import ROW
+from clothbench.engine.store import Store
 create = Bucket.create
 
 def dies(self, name, content):

@@ -10,8 +10,8 @@ import pytest
 from clothbench.core.errors import ClothbenchError
 from clothbench.engine import bucket_leases, leases
 from clothbench.engine.bucket import Bucket
+from clothbench.engine.leaderboard import ROW
 from clothbench.engine.leases import Leases, Line
-from clothbench.engine.store import ROW
 
 KEYS = [f"{n:016x}" for n in range(8)]
 

@@ -26,6 +26,7 @@ import pytest
 from clothbench import ClothbenchError
 from clothbench.core.errors import Stopped
 from clothbench.engine.cells import Source, lie_here
+from clothbench.engine.disagreement import outcome
 from clothbench.engine.executors import settings
 from clothbench.engine.executors.cells import CellWork, concluded, places, sources_of
 from clothbench.engine.executors.child import Ended, _kept, in_child
@@ -37,7 +38,7 @@ from clothbench.engine.limits import Limits, Watch
 from clothbench.engine.pool import _first, _run_alone, _told, _told_file, by_turns, run_cells
 from clothbench.engine.rows import failure
 from clothbench.engine.run import keep, run_cell
-from clothbench.engine.store import Store, outcome
+from clothbench.engine.store import Store
 from clothbench.engine.suite import plan
 from clothbench.plugins.discovery import catalogue
 

@@ -8,8 +8,9 @@ from clothbench_optimizers.iterative_least_squares import IterativeLeastSquares
 
 from clothbench import ClothbenchError, Observation, Rollout
 from clothbench.core.folding import circular_path, triangular_path
+from clothbench.engine.leaderboard import leaderboard_row
 from clothbench.engine.run import run_cell
-from clothbench.engine.store import Store, leaderboard_row
+from clothbench.engine.store import Store
 from clothbench.engine.suite import plan as planned
 from clothbench.plugins.discovery import catalogue
 from clothbench.reference.fabrics import FABRICS, chosen_fabrics

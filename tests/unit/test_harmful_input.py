@@ -24,8 +24,9 @@ from clothbench.core.files import read_arrays, read_json
 from clothbench.core.pictures import PNG, picture_of
 from clothbench.datasets.depth_folder import read_folder
 from clothbench.display.film import read_film
+from clothbench.engine.leaderboard import ROW
 from clothbench.engine.settings import KNOWN
-from clothbench.engine.store import ROW, Store, load_rows
+from clothbench.engine.store import Store, load_rows
 from clothbench.engine.suite import resolve
 from clothbench.engine.tables import read_table, write_table
 from clothbench.plugins.discovery import catalogue

@@ -10,7 +10,8 @@ from browser_page import Page, started
 from test_gate import failed_and_well, row
 
 from clothbench import ClothbenchError
-from clothbench.engine.store import ROW, SYSTEM, Store
+from clothbench.engine.leaderboard import ROW, SYSTEM
+from clothbench.engine.store import Store
 from clothbench.history import speed
 from clothbench.history.commits import Commit, commit_at, commits_of
 from clothbench.history.entries import Entry, add, entries_in, entries_of_git

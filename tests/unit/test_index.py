@@ -13,7 +13,8 @@ import pytest
 from clothbench.cli.commands import print_json, print_json_rows
 from clothbench.engine import index
 from clothbench.engine.index import dicts, segments_in
-from clothbench.engine.store import ROW, Store
+from clothbench.engine.leaderboard import ROW
+from clothbench.engine.store import Store
 
 
 def put(store, number, value, status="ok"):

@@ -20,8 +20,9 @@ from clothbench.core.errors import ClothbenchError
 from clothbench.core.rollout import Rollout
 from clothbench.display import rerun as rerun_file
 from clothbench.engine.cells import Source
+from clothbench.engine.leaderboard import ROW, SYSTEM
 from clothbench.engine.run import run_cell
-from clothbench.engine.store import ROW, SYSTEM, Store
+from clothbench.engine.store import Store
 from clothbench.estimation.calibrate import best_rollout, calibrate
 from clothbench.plugins.discovery import catalogue
 from clothbench.recordings.nodes import Recording, grips_at, write_recording

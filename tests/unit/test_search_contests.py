@@ -7,8 +7,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from clothbench.engine.store import write_table
 from clothbench.engine.study import Results
+from clothbench.engine.tables import write_table
 from clothbench.studies.calibration.schema import QUESTION
 from clothbench.studies.calibration.searches import WORST, contests, hypervolume
 from clothbench.studies.calibration.searches_page import contest_tables, searches_section

@@ -12,8 +12,9 @@ from conftest import swinging_recording
 from clothbench import ClothbenchError, Parameter, ParameterSpace, read_recording, write_recording
 from clothbench.core.protocols import Score
 from clothbench.engine.checkpoint import Checkpoint
+from clothbench.engine.leaderboard import FINISHED
 from clothbench.engine.settings import checked, last_word, named_budget
-from clothbench.engine.store import FINISHED, Store
+from clothbench.engine.store import Store
 from clothbench.engine.suite import plan
 from clothbench.estimation.calibrate import Fit
 from clothbench.plugins.discovery import catalogue

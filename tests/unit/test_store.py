@@ -9,7 +9,9 @@ import pytest
 from clothbench import ClothbenchError
 from clothbench.engine import index
 from clothbench.engine.cells import plugin_versions
-from clothbench.engine.store import ROW, Store, leaderboard_row, load_rows, recorded, superseded
+from clothbench.engine.disagreement import recorded
+from clothbench.engine.leaderboard import ROW, leaderboard_row
+from clothbench.engine.store import Store, load_rows, superseded
 from clothbench.plugins.discovery import catalogue
 
 
@@ -44,14 +46,15 @@ def test_a_finished_cell_stays_and_a_disagreement_is_told(tmp_path):
         store.put("abc", {"rows": [one_row(value=2.0), one_row("skipped")]})
     (record,) = store.disagreements()
     assert record.parent.name == "abc"
-    assert recorded(record) == ([1.0, "skipped"], [2.0, "skipped"])
+    assert recorded(record) == ([1.0, "skipped"], [2.0, "skipped"], [])
     assert store.rows()[0]["value"] == 1.0
     assert [p.name for p in (tmp_path / "cells").iterdir()] == ["abc"]
 
 
 WRITES = """
 import sys
-from clothbench.engine.store import ROW, Store
+from clothbench.engine.leaderboard import ROW
+from clothbench.engine.store import Store
 store = Store(sys.argv[1])
 for k in range(60):
     status = "error" if k < 30 else "ok"

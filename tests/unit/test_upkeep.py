@@ -18,8 +18,10 @@ from clothbench.cli.view import find_cell
 from clothbench.core.files import half_written
 from clothbench.engine import upkeep
 from clothbench.engine.check import check
+from clothbench.engine.disagreement import SEEDLESS, recorded
+from clothbench.engine.leaderboard import ROW
 from clothbench.engine.leases import Leases
-from clothbench.engine.store import ROW, SEEDLESS, Store, recorded
+from clothbench.engine.store import Store
 from clothbench.engine.tables import read_table
 from clothbench.engine.upkeep import merge, prunable
 from clothbench.plugins.discovery import catalogue
@@ -210,11 +212,11 @@ def test_a_disagreement_goes_where_its_cell_goes(filled, tmp_path):
     there = tmp_path / "b"
     disagreeing(filled)
     merge(Store(filled), Store(there), catalogue())
-    assert [recorded(path) for path in Store(there).disagreements()] == [([1.0], [2.0])]
+    assert [recorded(path) for path in Store(there).disagreements()] == [([1.0], [2.0], [])]
     put(tmp_path / "c", KEYS[1], 3.0)
     merge(Store(filled), Store(tmp_path / "c"), catalogue())
     assert {path.parent.name: recorded(path) for path in Store(tmp_path / "c").disagreements()} == {
-        KEYS[0]: ([1.0], [2.0]), KEYS[1]: ([3.0], [1.0]),
+        KEYS[0]: ([1.0], [2.0], []), KEYS[1]: ([3.0], [1.0], []),
     }  # fmt: skip
 
 

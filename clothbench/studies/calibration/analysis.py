@@ -10,7 +10,7 @@ import numpy as np
 from clothbench.core.optional import takes_option
 from clothbench.core.parameters import ParameterSpace
 from clothbench.engine.checkpoint import Checkpoint
-from clothbench.engine.store import finite
+from clothbench.engine.tables import finite
 from clothbench.estimation.calibrate import Fit
 from clothbench.estimation.trials import evaluate
 from clothbench.plugins.discovery import Catalogue, one_line

@@ -12,7 +12,7 @@ from clothbench.core.camera import Camera, Projector
 from clothbench.core.observation import Observation
 from clothbench.core.rollout import Rollout
 from clothbench.display.film import Film, Take, chosen_frames, contact_sheet, scaled, write_film
-from clothbench.engine.store import finite
+from clothbench.engine.tables import finite
 from clothbench.estimation.calibrate import Fit
 from clothbench.estimation.trials import Trial, score_of
 from clothbench.recordings.colour_video import ColourVideo

@@ -10,7 +10,7 @@ import numpy as np
 
 from clothbench.display.names import model_name
 from clothbench.display.plotly import rounded, thinned
-from clothbench.engine.store import ROWS
+from clothbench.engine.leaderboard import ROWS
 from clothbench.engine.tables import read_table
 from clothbench.studies.calibration.schema import HISTORY, PUBLISHED, TRACE
 

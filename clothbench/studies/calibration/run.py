@@ -15,8 +15,8 @@ from clothbench.core.optional import ShowsSteps, objectives_of
 from clothbench.core.protocols import Metric, Score
 from clothbench.core.rollout import Rollout
 from clothbench.engine.rows import about_cell, failure, no_value
-from clothbench.engine.store import finite
 from clothbench.engine.study import Context, Result
+from clothbench.engine.tables import finite
 from clothbench.estimation.calibrate import Fit, best_rollout
 from clothbench.estimation.intervals import interval_of, mean_of_split
 from clothbench.estimation.trials import evaluate, score_of

@@ -9,7 +9,7 @@ import numpy as np
 
 from clothbench.core.parameters import ParameterSpace
 from clothbench.engine.checkpoint import Checkpoint
-from clothbench.engine.store import finite
+from clothbench.engine.tables import finite
 from clothbench.estimation.calibrate import remembered
 from clothbench.estimation.trials import Trial
 from clothbench.studies.calibration.schema import LEAST_BLOCKS

@@ -17,7 +17,7 @@ import numpy as np
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.protocols import Effect, Score
-from clothbench.engine.store import finite
+from clothbench.engine.tables import finite
 from clothbench.estimation.trials import Trial
 from clothbench.modelling.curves import CurveRollout, curve_of
 from clothbench.recordings.curve import Curve

@@ -9,7 +9,7 @@ import numpy as np
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import read_json
-from clothbench.engine.store import finite
+from clothbench.engine.tables import finite
 from clothbench.studies.improve.evidence import of_split
 from clothbench.studies.improve.finding import Finding
 from clothbench.studies.improve.fitted import Fitted

@@ -23,7 +23,7 @@ from clothbench.core.parameters import ParameterSpace
 from clothbench.core.protocols import Effect, Model, Score, Simulation
 from clothbench.core.rollout import Rollout
 from clothbench.core.scene import Scene
-from clothbench.engine.store import finite
+from clothbench.engine.tables import finite
 from clothbench.estimation.fixed import holding
 from clothbench.estimation.placements import joined
 from clothbench.estimation.trials import Trial

@@ -13,8 +13,8 @@ from clothbench.display.names import duration
 from clothbench.display.page import whole_page
 from clothbench.display.section import Section
 from clothbench.display.templates import rendered
-from clothbench.engine.store import system_info
 from clothbench.engine.study import Results
+from clothbench.engine.system import system_info
 from clothbench.studies.improve import figures as draw
 from clothbench.studies.improve.document import document_in
 from clothbench.studies.improve.drape_quantities import PERMUTATIONS

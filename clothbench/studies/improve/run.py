@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 
 from clothbench.engine.rows import about_cell, no_value
-from clothbench.engine.store import finite
 from clothbench.engine.study import Context, Result, Rows
+from clothbench.engine.tables import finite
 from clothbench.studies.improve.cell import ImproveCell
 from clothbench.studies.improve.compiling import compiled_ahead
 from clothbench.studies.improve.files import write_files

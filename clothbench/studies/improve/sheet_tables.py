@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from clothbench.core.observation import Observation
-from clothbench.engine.store import finite
+from clothbench.engine.tables import finite
 from clothbench.studies.improve.evidence import Comparison, Rows, Unit
 
 BINS = 8  # of speed, acceleration and height, with equal numbers of coordinates

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from clothbench.core.statistics import standing_out
-from clothbench.engine.store import finite
+from clothbench.engine.tables import finite
 from clothbench.studies.improve.document import why_not
 from clothbench.studies.improve.evidence import Rows, of_split
 from clothbench.studies.improve.finding import Finding

@@ -12,7 +12,7 @@ from clothbench.core.parallel import thread_count
 from clothbench.core.progress import FileProgress
 from clothbench.engine.cells import digest, plugin_versions
 from clothbench.engine.settings import refuse, refuse_of_searches, whole
-from clothbench.engine.store import system_info
+from clothbench.engine.system import system_info
 from clothbench.plugins.discovery import Catalogue
 from clothbench.studies.speed.bench import SIDES, peers_in
 
