@@ -43,12 +43,12 @@ def parameters(rows: Rows, fitted: Rows) -> str:
 def _line(row: dict[str, Any], values: dict[str, dict[str, Any]], columns: Sequence[str]) -> list[str]:
     """One cell; where it has no such parameter there is a dash."""
     names = [text(row["case"]), text(row["optimizer"]), text(row["seed"])]
-    found = [_parameter(values[name]) if name in values else "–" for name in columns]
+    found = [fitted_value(values[name]) if name in values else "–" for name in columns]
     return [*names, *found, f"<code>{text(row['key'][:8])}</code>"]
 
 
-def _parameter(p: dict[str, Any]) -> str:
-    """Value above its interval; marked on its bound, where the bound chose it and not the data."""
+def fitted_value(p: dict[str, Any]) -> str:
+    """Value above its interval, in a table; marked on its bound, where the bound chose it and not the data."""
     value = f"{p['value']:.4g}" if p["value"] is not None else "none"
     mark = '<span class="pill note" title="the bound chose this value">▲ at its bound</span> ' if p["at_bound"] else ""
     truth = f"true: {p['truth']:.3g}" if p.get("truth") is not None else ""

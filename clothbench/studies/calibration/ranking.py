@@ -84,13 +84,13 @@ def marks_of(rows: Rows) -> Callable[[dict[str, Any]], list[str]]:
 
     def marks(row: dict[str, Any]) -> list[str]:
         names = sorted(fitted.get(row["key"], ())) if row["case"] in several else []
-        words = [f"{row.get('budget')} evaluations" if budgets else "", settings_word(row) if settings else ""]
+        words = [f"{row.get('budget')} evaluations" if budgets else "", set_otherwise(row) if settings else ""]
         return [word for word in (*words, f"fitted to {_told(names)}" if names else "") if word]
 
     return marks
 
 
-def settings_word(row: Mapping[str, Any]) -> str:
+def set_otherwise(row: Mapping[str, Any]) -> str:
     """How its cell is set otherwise than its rivals (`with_settings`), "" where it is not; else by a digest."""
     known = row.get("told")
     return f"settings {row.get('settings')}" if known is None else str(known)

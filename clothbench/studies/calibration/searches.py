@@ -15,7 +15,7 @@ from clothbench.engine.study import Results
 from clothbench.engine.tables import read_table
 from clothbench.estimation.front import on_front
 from clothbench.estimation.intervals import mean_interval
-from clothbench.studies.calibration.ranking import settings_word
+from clothbench.studies.calibration.ranking import set_otherwise
 from clothbench.studies.calibration.schema import HISTORY
 from clothbench.studies.calibration.schema import QUESTION as ASKED
 
@@ -135,7 +135,7 @@ def _by_search(rows: Sequence[dict[str, Any]]) -> dict[str, dict[Any, str]]:
     out: dict[str, dict[Any, str]] = {}
     for row in rows:
         name = row["optimizer"]
-        told = f"{name} · {settings_word(row)}".removesuffix(" · ") if len(settings[name]) > 1 else name
+        told = f"{name} · {set_otherwise(row)}".removesuffix(" · ") if len(settings[name]) > 1 else name
         out.setdefault(told, {})[row["seed"]] = row["key"]
     return out
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from clothbench.display.names import model_name
-from clothbench.studies.calibration.ranking import settings_word
+from clothbench.studies.calibration.ranking import set_otherwise
 
 Rows = Sequence[dict[str, Any]]
 
@@ -98,7 +98,7 @@ def way_names(about: Mapping[str, dict[str, Any]]) -> dict[str, str]:
     for key, row in about.items():
         seed = f" · seed {row['seed']}" if row["seed"] else ""
         names[key] = f"{model_name(row)} · {row['optimizer']} · {row['objective']}{seed}"
-    for mark, word in (("budget", lambda r: f"{r.get('budget')} evaluations"), ("settings", settings_word)):
+    for mark, word in (("budget", lambda r: f"{r.get('budget')} evaluations"), ("settings", set_otherwise)):
         rivals: dict[tuple[str, str], set[Any]] = {}
         for key, row in about.items():
             rivals.setdefault((names[key], row["case"] if mark == "settings" else ""), set()).add(row.get(mark))

@@ -11,6 +11,7 @@ from markupsafe import Markup
 from clothbench.display.html import below, group, interval, table, text, unit
 from clothbench.display.names import duration
 from clothbench.display.page import whole_page
+from clothbench.display.parameters import fitted_value
 from clothbench.display.section import Section
 from clothbench.display.templates import rendered
 from clothbench.engine.study import Results
@@ -321,10 +322,11 @@ def against_section(found: Mapping[str, Any], bins: Rows, blocks: list[dict[str,
 def parameter_section(rows: Rows, changed: bool, condition: float | None) -> str:
     """Every parameter before and after, with intervals; on its bound, the bound chose it and not the data."""
     names = group(rows, lambda r: r["name"])
+    fits = ("before", "after") if changed else ("before",)
     body = []
     for name, mine in names.items():
         at = {r["fit"]: r for r in mine}
-        cells = [amount(at.get(fit)) for fit in (("before", "after") if changed else ("before",))]
+        cells = [fitted_value(at[fit]) if fit in at else "–" for fit in fits]
         p = mine[-1]
         body.append([f"{text(p['symbol'])} <small>{text(name)}</small>", *cells, text(unit(p)), text(p["meaning"])])
     head = ["parameter", *(("before", "after") if changed else ("value",)), "unit", "meaning"]
@@ -332,13 +334,6 @@ def parameter_section(rows: Rows, changed: bool, condition: float | None) -> str
     if condition is not None:
         note += f" Condition of the fit: {condition:.2g}; above a thousand some of them move together freely."
     return f'<h2>Parameters</h2><p class="soft">{note}</p>' + table(head, body, numeric=set(range(1, len(head) - 2)))
-
-
-def amount(p: dict[str, Any] | None) -> str:
-    if p is None:
-        return "–"
-    mark = '<span class="pill note" title="the bound chose this value">▲ at its bound</span> ' if p["at_bound"] else ""
-    return f"{mark}{p['value']:.4g}<br><small>{interval(p, '.3g')}</small>"
 
 
 def drift_section(drift: Rows, blocks: list[dict[str, Any]]) -> str:
