@@ -39,7 +39,7 @@ from clothbench.studies.improve.fitted import Fitted, jackknife_interval
 from clothbench.studies.improve.permutation import permutation_test
 from clothbench.studies.improve.problem import Problem, residuals
 from clothbench.studies.improve.refits import by_chance
-from clothbench.studies.improve.selection import Candidate, assess, choose, told_from_nothing
+from clothbench.studies.improve.selection import Candidate, assess, away_from_null, choose, told_from_nothing
 from clothbench.studies.improve.settings import LOOP
 
 PLATE, DISC = 0.09, 0.15
@@ -278,6 +278,41 @@ def test_nothing_is_rarely_told_from_nothing():
         found = dataclasses.replace(found, theta=moved)
         wrong += told_from_nothing(found, [0, 1], null)
     assert wrong / 200 < 2 * LOOP.significance
+
+
+def even_amounts(t, wider=1.0):
+    """Two amounts, each t standard errors from nothing, that four recordings tell one as well as the other: their means
+    of ±e have a standard error of e/√3. Intervals are so many times as wide as recordings left out make them.
+    """
+    space = fitted_amounts([0.0, 0.0], np.random.default_rng(0)).space
+    residual = [0.01 * np.array([a, b]) for a in (-1.0, 1.0) for b in (-1.0, 1.0)]
+    theta = np.full(2, 2 * t * 0.01 / 3**0.5)  # half of it is its place in the unit cube
+    low, high = jackknife_interval(space, theta, residual, [np.eye(2)] * 4)
+    low, high = theta + wider * (low - theta), theta + wider * (high - theta)
+    return Fitted(("e",), space, theta, residual, [np.eye(2)] * 4, low, high, evaluations=1)
+
+
+def test_amounts_are_told_from_nothing_together_by_hotellings_bound():
+    """T² = 2 t², of which (R − 2)/(2 (R − 1)) is above F(0.95; 2, R − 2) = (R − 2)/2 (0.05^(−2/(R − 2)) − 1)."""
+    bound = (3 * 19 / 2) ** 0.5  # of t, for R = 4
+    for wider in (1.0, 2.0):
+        assert told_from_nothing(even_amounts(1.01 * wider * bound, wider), [0, 1], np.zeros(2))
+        assert not told_from_nothing(even_amounts(0.99 * wider * bound, wider), [0, 1], np.zeros(2))
+
+
+def test_one_amount_is_told_from_nothing_as_its_interval_has_it():
+    for factor in (0.99, 1.01):
+        found = even_amounts(3.1824 * factor)  # Student's t of three degrees of freedom
+        assert told_from_nothing(found, [0], np.zeros(1)) == (found.low[0] > 0) == (factor > 1)
+
+
+@pytest.mark.parametrize(("bounds", "value", "away"), [((-1.0, 1.0), 1.9e-3, False), ((-1.0, 1.0), -2.1e-3, True),
+                                                       ((-4.0, 0.0), -3.9e-3, False), ((-4.0, 0.0), -4.1e-3, True)])  # fmt: skip
+def test_an_amount_is_something_from_a_thousandth_of_its_range_on(bounds, value, away):
+    space = ParameterSpace((Parameter("e.a", "a", "1", bounds, "linear", 0.0, "a", "", 0.0),))
+    theta = np.array([value])
+    found = Fitted(("e",), space, theta, [np.ones(2)] * 3, [np.ones((2, 1))] * 3, theta, theta, evaluations=1)
+    assert away_from_null(found, [0]).tolist() == [away]
 
 
 # --- what the drapes say themselves ----------------------------------------------------------------------------------

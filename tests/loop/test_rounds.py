@@ -457,6 +457,49 @@ def test_ripples_on_some_recordings_do_not_part_two_effects_that_correct_the_sam
     assert {c.name: bool(c.why_not) for c in assessed} == {"a": False, "b": not same}
 
 
+def leaving(effect: str, squares: list[float]) -> Candidate:
+    """Takes nearly all of what `signal_of` has, and leaves these mean squares of the recordings."""
+    left = [q**0.5 * s / 4 for q, s in zip(squares, signal_of(len(squares)).residual, strict=True)]
+    return Candidate(effect, 0.5, 0.005, fitted=dataclasses.replace(with_wind(effect, 0, 1.0), residual=left))
+
+
+def signal_of(count: int) -> Fitted:
+    """A mean square of 16 in each recording."""
+    random = np.random.default_rng(4)
+    return dataclasses.replace(fitted(1.0), residual=[random.choice([-4.0, 4.0], 400) for _ in range(count)])
+
+
+@pytest.mark.parametrize(
+    ("squares", "gain", "stands", "why"),
+    [
+        ([1, 1, 1, 17], 1.0, 4, ""),
+        ([1, 1, 17, 17], 1.0, 4, "helps in 2 of 4 recordings only"),
+        ([1, 15, 15, 15], 2.0, 3, ""),
+        ([6, 6, 15.5, 15.5], 5.0, 2, "falls short or behind another when a recording is left out (stands in 2 of 4)"),
+        ([11.1] * 4, 5.0, 0, "explains only 98% of what a name has to"),
+    ],
+)
+def test_a_name_may_fail_on_one_recording_and_not_on_two(squares, gain, stands, why):
+    (found,) = assess(signal_of(4), gain, [leaving("a", squares)])
+    assert (found.selected, found.why_not) == (stands, why)
+    assert found.gain == pytest.approx(16 - np.mean(squares))
+
+
+def test_two_that_correct_the_same_are_compared_on_all_recordings_at_once():
+    """b leaves 15 % more than a in all; without the third or the fourth recording it would be a third."""
+    tried = [leaving("a", [1.0, 1.0, 1.0, 1.0]), leaving("b", [1.7, 1.7, 0.6, 0.6])]
+    assert [(c.name, c.selected, c.why_not) for c in assess(signal_of(4), 5.0, tried)] == [("a", 4, ""), ("b", 4, "")]
+
+
+def test_of_equally_simple_effects_the_one_with_fewest_shapes_comes_first():
+    plain, shaped = with_wind("plain", 1, 1.0), with_wind("shaped", 1, 0.99)
+    amounts = (*plain.space.parameters[:-1], dataclasses.replace(plain.space.parameters[-1], null=0.0))
+    plain = dataclasses.replace(plain, space=ParameterSpace(amounts))
+    before = dataclasses.replace(fitted(9.0), residual=[np.full(9, 9.0)] * 3)
+    tried = [Candidate(fit.effects[0], 0.5, 0.005, fitted=fit) for fit in (shaped, plain)]
+    assert choose(before, tried) == ("plain", "shaped")
+
+
 @pytest.mark.parametrize(
     ("rival", "gains", "holds"),
     [(2.1e-3, 0.5e-6, False), (2.1e-3, 2e-6, True), (2.3e-3, 0.0, True)],
