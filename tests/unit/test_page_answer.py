@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import ttest_ind
 
 from clothbench.core.observation import Observation
 from clothbench.core.protocols import Score
@@ -27,7 +28,7 @@ from clothbench.studies.calibration.leaderboard import leaderboard, same_in_all
 from clothbench.studies.calibration.matrix import HOTTEST, one_way, several_ways
 from clothbench.studies.calibration.page import told_by_unit
 from clothbench.studies.calibration.parameters_page import group_by_key, model_table, strip_of, truth_said
-from clothbench.studies.calibration.ranking import best_of, overall, standings, way_of
+from clothbench.studies.calibration.ranking import best_of, overall, standings, unpaired_includes_zero, way_of
 from clothbench.studies.calibration.tables import error_table
 from clothbench.studies.calibration.tables import overall as told_overall
 from clothbench.studies.calibration.words import listed, size
@@ -138,6 +139,23 @@ def test_of_two_recordings_their_own_intervals_decide():
     assert best_of(standings(far, "fold")["linen"]) == ["a"]
     half = [far[0], {**far[1], "low": None, "high": None}]  # b may be anywhere
     assert best_of(standings(half, "fold")["linen"]) == ["a", "b"]
+
+
+@pytest.mark.parametrize(("apart", "best"), [(0.59, ["a", "b"]), (0.61, ["a"])])
+def test_the_mean_of_two_recordings_is_surer_than_either(apart, best):
+    """Of ±0.6 each, four values in a difference of two means: ±√(4 · 0.6²)/2."""
+    values = {"a": (1.0, 2.0), "b": (1.0 + apart, 2.0 + apart)}
+    some = [row(m, "linen", f"x{n}", v, low=v - 0.6, high=v + 0.6) for m in "ab" for n, v in enumerate(values[m])]
+    assert best_of(standings(some, "fold")["linen"]) == best
+
+
+def test_means_of_seeds_are_compared_by_welchs_test():
+    one, other = np.array([-1.0, 0.2, 0.8]), np.array([0.05, -0.1, 0.0, 0.1, -0.05, 0.1, -0.1, 0.0])
+    apart = np.linspace(0.0, 4.0, 401)
+    found = [unpaired_includes_zero(one, other + by) for by in apart]
+    assert found == [ttest_ind(one, other + by, equal_var=False).pvalue >= 0.05 for by in apart]
+    assert True in found
+    assert False in found
 
 
 def test_seeds_are_repetitions_of_one_way():
