@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numba
 import numpy as np
 import pytest
+from scipy.stats import t as student_t
 
 from clothbench import ClothbenchError, Observation, Outlines, Parameter, ParameterSpace, Rollout, Score
 from clothbench.estimation.calibrate import Fit, calibrate
@@ -114,6 +115,58 @@ def test_a_lost_run_tells_nothing_whatever_positions_it_left():
     assert np.isfinite(evaluation.value).tolist() == [True, False]
     assert np.isfinite(evaluation.residual[0]).all()
     assert np.isnan(evaluation.residual[1]).all()
+
+
+LINE = ParameterSpace(
+    tuple(Parameter(n, n, "m", (0.0, high), "linear", 0.5, n, "toy") for n, high in (("x", 1.0), ("y", 4.0)))
+)
+
+
+class Linear(Toy):
+    """A model and a metric in one: what is left is A θ − b."""
+
+    parameters = LINE
+    name, version, unit = "linear", 1, "m"
+
+    def __init__(self, design, seen):
+        self.design, self.seen = design, seen
+
+    def run(self, theta):
+        still = np.zeros((len(theta), TIME.size, 1, 3))
+        still[:, 0, 0, :2] = theta
+        return Rollout(TIME, still, ("ok",) * len(theta), np.ones(len(theta), int), 1)
+
+    def __call__(self, observation, rollout):
+        left = rollout.position[:, 0, 0, :2] @ self.design.T - self.seen
+        return Score(np.sqrt(np.mean(left**2, axis=1)), "m", residual=left)
+
+
+@pytest.mark.parametrize("x", [0.01, 0.4])
+def test_an_interval_is_that_of_fits_without_one_second_each(x):
+    """Of a model that is linear, also where a parameter is so near its bound that differences go to one side only."""
+    random = np.random.default_rng(0)
+    design, noise = random.normal(size=(TIME.size, 2)), 0.01 * random.normal(size=TIME.size)
+    design[:, 0] *= 5
+    noise -= design @ np.linalg.lstsq(design, noise, rcond=None)[0]
+    truth = np.array([x, 2.0])
+    both = Linear(design, design @ truth + noise)
+    low, high, condition = intervals([dataclasses.replace(trial(random), simulation=both, metric=both)], LINE, truth)
+    blocks = np.array_split(np.arange(TIME.size), 12)
+    fits = [np.linalg.lstsq(np.delete(design, k, 0), np.delete(both.seen, k), rcond=None)[0] for k in blocks]
+    half = student_t.ppf(0.975, 11) * np.sqrt(11 / 12 * np.sum((np.array(fits) - truth) ** 2, axis=0))
+    assert 0 < half[0] < 0.01
+    np.testing.assert_allclose(high, truth + half)
+    np.testing.assert_allclose(low, truth - half)
+    assert condition == pytest.approx(np.linalg.cond(design * [1.0, 4.0]))  # of the scaled ranges
+
+
+def test_squares_are_means_over_recordings_of_means_over_their_rows():
+    random = np.random.default_rng(2)
+    left = [random.normal(size=rows) for rows in (6, 60)]
+    both = [Linear(np.zeros((len(seen), 2)), seen) for seen in left]
+    trials = [dataclasses.replace(trial(random), simulation=one, metric=one) for one in both]
+    (residual,) = evaluate(trials, np.array([[0.5, 0.5]]))[0].residual
+    assert residual @ residual == pytest.approx(np.mean([np.mean(seen**2) for seen in left]))
 
 
 WIDTH = ParameterSpace((Parameter("width", "w", "m", (0.05, 0.15), "linear", 0.1, "radius of a drape", "toy"),))
