@@ -145,6 +145,14 @@ def test_only_what_may_come_below_what_holds_for_all_is_fitted():
     assert by_recording.within_reach(before, Candidate("b", 0.1, 0.01), none, 1.0)
 
 
+def test_what_is_each_recordings_own_is_counted_once_for_each(monkeypatch):
+    """One number of the base and three of the effect, of which two are each of three recordings' own: 1 + 1 + 3 · 2."""
+    before = fitted_to([np.full(FRAMES, 5.0)] * 3, np.random.default_rng(0))
+    monkeypatch.setattr(by_recording, "own_names", lambda problem, name: ("b.x", "b.y"))
+    problem = SimpleNamespace(space_of=lambda name: [DELAY] * 3)
+    assert by_recording.size_by_recording(problem, before, "b") == 8
+
+
 def test_nothing_is_fitted_where_no_amounts_of_each_recordings_own_could_be_paid_for(monkeypatch):
     """Two numbers in each of three recordings cost three tenths: what leaves little more than the floor is let be."""
     before, name = fitted_to([np.full(FRAMES, 5.0)] * 3, np.random.default_rng(0)), "b"
