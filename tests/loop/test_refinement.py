@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass, field
 from types import SimpleNamespace
 
@@ -133,7 +134,22 @@ def test_a_model_that_does_not_converge_is_not_corrected(judged):
     problem, after, doubt = judged(Meshed(0.1, order=-1.0), 0.01)
     assert not problem.corrections
     np.testing.assert_allclose(after.residual, 0.1 + PATTERN)
-    assert doubt > np.sqrt(np.mean(PATTERN**2)) / 3
+    assert doubt == pytest.approx(2 / 3 * 4 / 3 * np.sqrt(np.mean(PATTERN**2)))  # two thirds of what it would come to
+
+
+def test_the_mesh_is_looked_at_beside_the_base_with_the_effect_as_it_is():
+    space = ParameterSpace((*SPACE, Parameter("drag", "c", "1", (0.0, 1.0), "linear", 0.5, "of an effect", "made up")))
+    fitted = dataclasses.replace(fit_of(Meshed(0.1)), space=space, theta=np.array([0.5, 0.3]))
+    beside = refinement.beside_fit(Meshed(0.1), fitted).theta
+    assert abs(beside[0] - 0.5) == pytest.approx(0.05)
+    assert beside[1] == 0.3
+
+
+def test_a_third_of_what_the_mesh_is_corrected_by_stays_in_the_interval():
+    names, fitted = ("first", "second"), fit_of(Meshed(0.1))
+    changes = {name: 0.3 * column[:, 0] for name, column in zip(names, OTHERWISE, strict=True)}  # shifts by 0.3
+    wide = refinement.with_errors_of_mesh_and_model(Meshed(0.1, corrections=changes), fitted, fitted.rms)
+    np.testing.assert_allclose([0.5 - wide.low[0], wide.high[0] - 0.5], np.hypot(0.1, 0.1), rtol=1e-6)
 
 
 def test_what_a_finer_mesh_cannot_simulate_may_all_be_the_mesh(judged, monkeypatch):

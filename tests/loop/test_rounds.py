@@ -15,6 +15,7 @@ from clothbench.studies.improve.account import Account
 from clothbench.studies.improve.attribution import Probe
 from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.fitting import calibrated_anew, multistart, sums_of_squares
+from clothbench.studies.improve.held_out import placebo_of
 from clothbench.studies.improve.loop import all_rounds, confirmed, from_better, next_round, recalibrated
 from clothbench.studies.improve.refits import (
     as_a_limit,
@@ -540,6 +541,28 @@ def test_a_further_name_has_to_hold_beside_what_an_earlier_one_is_tied_with(monk
     assert holds or "beside second, which first is tied with" in why
     assert asked[0] == (("second",), [[2.0, 0.5], [2.0, 0.5]])
     assert asked[1:] == ([] if rival == 2.3e-3 else [(("second", "third"), [[2.0, 0.5, 0.7], [2.5, 0.5, 0.7]])])
+
+
+def test_the_placebo_is_the_candidate_that_promised_least_but_something(monkeypatch):
+    """Fitted beside what was named, from where that ended and nothing of it; none where nothing was named or left."""
+    held_out, asked = "clothbench.studies.improve.held_out", []
+
+    def fit(problem, names, start, rounds):
+        asked.append((names, start.tolist()))
+        return with_wind("c", 1, 1e-3)
+
+    monkeypatch.setattr(f"{held_out}.fit", fit)
+    monkeypatch.setattr(f"{held_out}.held_out_errors", lambda problem, fit: [2e-3, 3e-3])
+    problem = SimpleNamespace(of_split=lambda split: ["third", "fourth"], space_of=lambda name: wind(1))
+    shares = {"a": 0.01, "b": 0.5, "c": 0.02, "d": 0.0, "e": -1.0}
+    tried = tuple(Candidate(name, share, 0.5) for name, share in shares.items())
+    final = with_wind("a", 0, 2e-3)
+    last = Round(final, 1e-3, tried, (), ())
+    found, count = placebo_of(problem, final, (last,))
+    assert (found.name, found.errors, count) == ("c", (2e-3, 3e-3), 10)
+    assert asked == [(("a", "c"), [2.0, 0.5, 0.0, 0.0])]
+    for fitted_, rounds in ((fitted(2e-3), (last,)), (final, (Round(final, 1e-3, tried[3:], (), ()),))):
+        assert placebo_of(problem, fitted_, rounds) == (None, 0)
 
 
 def test_fits_are_compared_by_the_mean_square_of_all_recordings():

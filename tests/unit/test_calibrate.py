@@ -11,7 +11,15 @@ from scipy.stats import t as student_t
 
 from clothbench import ClothbenchError, Observation, Outlines, Parameter, ParameterSpace, Rollout, Score
 from clothbench.estimation.calibrate import Fit, calibrate
-from clothbench.estimation.intervals import clusters, error_interval, intervals, jackknife, mean_interval, mean_of_split
+from clothbench.estimation.intervals import (
+    clusters,
+    error_interval,
+    intervals,
+    jackknife,
+    mean_interval,
+    mean_of_split,
+    undetermined,
+)
 from clothbench.estimation.trials import Trial, evaluate
 from clothbench.plugins.discovery import catalogue
 
@@ -473,6 +481,21 @@ def test_an_error_s_interval_covers_what_it_says(kept, seconds):
     assert ((found[:, 0] <= 10.0) & (found[:, 1] >= 10.0)).mean() >= 0.9
     if 2 <= seconds <= 5:
         assert np.median(found[:, 1] - found[:, 0]) < 3.0
+
+
+@pytest.mark.parametrize(("seconds", "blocks"), [(1.58, 2), (1.62, 3), (3.4, 3), (3.6, 4), (20.0, 6)])
+def test_a_trace_has_a_block_a_second_with_the_time_of_its_last_frame(seconds, blocks):
+    errors = 10 + np.random.default_rng(1).random(40)
+    means = [part.mean() for part in np.array_split(errors, blocks)]
+    half = student_t.ppf(0.975, blocks - 1) * np.std(means, ddof=1) / blocks**0.5
+    assert traced(errors, seconds) == pytest.approx((errors.mean() - half, errors.mean() + half))
+
+
+@pytest.mark.parametrize(("apart", "told"), [(1e-3, True), (1e-7, False)])
+def test_two_parameters_that_do_the_same_but_for_next_to_nothing_are_not_told_apart(apart, told):
+    column = np.random.default_rng(1).normal(size=(60, 3))
+    jacobian = np.stack([column[:, 0], column[:, 0] + apart * column[:, 1], column[:, 2]], axis=1)
+    assert undetermined(jacobian.T @ jacobian).tolist() == [not told, not told, False]
 
 
 def test_of_a_single_frame_no_interval_is_known():
