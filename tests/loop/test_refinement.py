@@ -188,3 +188,23 @@ def test_a_parameter_that_changes_nothing_may_be_anything():
     assert (low[1], high[1]) == (0.0, 2.0)
     low, high = jackknife_interval(two, middle[:2], residual, told_once, alone=True)
     assert high[1] - low[1] < 0.1
+
+
+def few(recordings, off=0.0):
+    """The interval that so many recordings give a fit whose search stopped `off` its end, of the scaled range."""
+    random = np.random.default_rng(1)
+    columns = [random.normal(size=(20, 1)) for _ in range(recordings)]
+    residual = [0.01 * random.normal(size=20) + off * c[:, 0] for c in columns]
+    return jackknife_interval(SPACE, np.array([0.5]), residual, columns)
+
+
+def test_a_search_that_stopped_short_is_as_sure_as_one_that_did_not():
+    """How far the fit moves without each recording is told from the mean of these, not from where the search stopped."""
+    np.testing.assert_allclose(few(4, off=0.1), few(4), rtol=1e-6)
+    low, high = few(4)
+    assert 0 < high[0] - low[0] < 0.1
+
+
+@pytest.mark.parametrize(("recordings", "known"), [(2, False), (3, True)])
+def test_fewer_than_three_recordings_give_no_interval(recordings, known):
+    assert np.isfinite(few(recordings)).all() == known
