@@ -335,6 +335,19 @@ def test_an_optimizer_may_use_its_array_again():
     np.testing.assert_array_equal(fit.best, sets[1])
 
 
+def test_a_look_around_lasts_until_the_search_has_a_start():
+    class Looking(Reused):
+        start = None
+
+        def tell(self, theta, evaluation):
+            self.start = TRUTH if len(self.sets) < 3 else None
+
+    looking = Looking(*[(3.0, 0.0)] * 5)
+    fit = calibrate([trial(np.random.default_rng(0))], looking, SPACE, bounded=False)
+    assert (fit.looked, fit.evaluations) == (3, 5)
+    np.testing.assert_array_equal(fit.start, TRUTH)
+
+
 @pytest.mark.parametrize(
     ("asked", "said"),
     [
