@@ -28,7 +28,16 @@ from clothbench.studies.calibration.leaderboard import leaderboard, same_in_all
 from clothbench.studies.calibration.matrix import HOTTEST, one_way, several_ways
 from clothbench.studies.calibration.page import told_by_unit
 from clothbench.studies.calibration.parameters_page import group_by_key, model_table, strip_of, truth_said
-from clothbench.studies.calibration.ranking import best_of, overall, standings, unpaired_includes_zero, way_of
+from clothbench.studies.calibration.ranking import (
+    best_cell,
+    best_of,
+    errors_of,
+    once,
+    overall,
+    standings,
+    unpaired_includes_zero,
+    way_of,
+)
 from clothbench.studies.calibration.tables import error_table
 from clothbench.studies.calibration.tables import overall as told_overall
 from clothbench.studies.calibration.words import listed, size
@@ -492,6 +501,32 @@ def test_a_recording_that_several_fits_hold_out_counts_once():
     assert told_overall(named_alike) == ["held out, all 2 cases: 2.00 px over 2 recordings (a · ga · fold, seed 0)"]
     assert mean_of(named_alike, "fold", "held_out")[1].startswith("1.00 … 3.00: 2 recordings")
     assert ", 2 recordings, " in what_was_run(named_alike)
+
+
+@pytest.mark.parametrize(("first", "second", "middle"), [(1.0, 4.0, 2.0), (0.0, 4.0, 2.0), (3.0, 3.0, 3.0)])
+def test_a_recording_of_several_cases_has_the_geometric_mean_of_its_errors(first, second, middle):
+    some = [row("a", case, "z", value) for case, value in (("x", first), ("y", second))]
+    found = standings(some, "fold")
+    assert errors_of(case["a"] for case in found.values()) == {"z": pytest.approx(middle)}
+
+
+def test_of_one_seed_the_last_cell_with_a_number_counts():
+    some = [
+        row("a", "linen", "x", value, key=key, finished=f"2026-01-0{day}")
+        for key, value, day in (("first", 1.0, 1), ("again", 2.0, 2), ("lost", None, 3))
+    ]
+    assert [r["key"] for r in once(some)] == ["again"]
+    assert [r["key"] for r in once(some[::-1])] == ["again"]
+
+
+def test_of_several_seeds_the_cell_that_fits_best_is_shown():
+    """By what it was fitted by, over all that was fitted together."""
+    some = [row("a", "linen", None, value, split="fit", key=key) for key, value in (("p", 3.0), ("q", 1.0))]
+    some += [row("a", "linen", None, 0.1, split="fit", key="r", metric="fold_count"),
+             row("a", "linen", None, 0.2, split="held_out", key="s"),
+             row("a", "linen", "x", 0.3, split="fit", key="t"), row("a", "linen", None, None, split="fit", key="u")]  # fmt: skip
+    assert best_cell(some) == "q"
+    assert best_cell(some[-1:]) == "u"
 
 
 def test_what_is_alike_in_all_lines_is_said_once():
