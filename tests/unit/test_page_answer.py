@@ -448,6 +448,7 @@ def test_a_search_that_still_falls_asks_for_more():
     steady, falling = np.array([9.0] + [5.0] * 19), np.linspace(9, 5, 20)
     assert late_fall(steady) == 0
     assert late_fall(falling) > 0.1
+    assert late_fall(np.array([np.inf] * 15 + [5.0] * 5)) == 1.0  # until then nothing had come to a number
     some = [row("a", "linen", "x", 1.0, evaluations=20), row("b", "satin", "x", 1.0, evaluations=20)]
     value, said = settled(some, way_of(some), {"a-linen": steady, "b-satin": falling})
     assert value == "20 evaluations"
