@@ -269,6 +269,24 @@ def test_an_amount_at_its_bound_stays_there_only_if_half_of_it_leaves_more(monke
     assert count == (1 + 1 + len(HEM) if end == 0.5 else 1)
 
 
+@pytest.mark.parametrize(("left", "turns"), [(0.996, 1), (0.994, LOOP.jump_limit), (1.0, 1)])
+def test_jumps_go_on_as_long_as_each_takes_off_half_a_percent(monkeypatch, left, turns):
+    """left: of the mean square, by every jump."""
+
+    def across(problem, fitted, which, where):
+        return np.where(np.arange(len(which)) == 0, 0.0, np.inf), where, 5
+
+    def better_of(problem, fit, start, rounds, goal):
+        return dataclasses.replace(fit, residual=[left**0.5 * r for r in fit.residual]), 1
+
+    monkeypatch.setattr(jumps, "across", across)
+    monkeypatch.setattr(jumps, "better_of", better_of)
+    before = fitted(rippled, HEM, START)
+    after, count = jumps.jump_along_valley(OneParameterBase(), before)
+    assert after.rms**2 == pytest.approx(left**turns * before.rms**2)
+    assert count == turns * (5 + 1)
+
+
 def test_an_amount_is_doubled_and_halved_from_where_it_is_nothing():
     """One that is nothing at 0.1, and no further than to its bounds; its shape goes along in the valley."""
     own = [dataclasses.replace(p, null=0.1) if p.name == "hem.a" else p for p in HEM]
