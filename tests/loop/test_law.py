@@ -13,12 +13,12 @@ from scipy.ndimage import gaussian_filter1d
 from clothbench import Observation, Recording, Scene, write_recording
 from clothbench.cli.improve import command
 from clothbench.plugins.discovery import catalogue
-from clothbench.studies.improve.balance import terms
+from clothbench.studies.improve.balance import delayed, late, power, terms
 from clothbench.studies.improve.described import NUMBERS, Described
 from clothbench.studies.improve.law import Amount, Law, Series, as_good_as, chance, jackknife, law_of
 from clothbench.studies.improve.motion import Motion, motion_of, smoothed, steady_axes
 from clothbench.studies.improve.settings import LOOP
-from clothbench.studies.improve.torque import balance_of, kernel_of, left_out, past_of, smoothest
+from clothbench.studies.improve.torque import LAGS, balance_of, kernel_of, left_out, of_past, past_of, smoothest
 
 WIDTH, HEIGHT, DENSITY, NOISE = 0.3, 0.35, 0.18, 1e-3
 NAMED = {term.name: term for term in terms()}
@@ -353,6 +353,40 @@ def test_nodes_of_the_lower_edge_stand_for_half_the_way_to_their_neighbours():
     area = np.array([0.01, 0.02, 0.03, 0.04])
     length = 0.4 * np.array([0.35, 0.25, 0.0, 0.4])  # from 0.65 on, up to 0.25, and between
     np.testing.assert_allclose(still(along, area, np.zeros(3)).lower_edge * area, length)
+
+
+def speeding_up(rate: float) -> Motion:
+    """Two nodes that go ever faster along their normal, by `rate` m/s², from rest on: 1.5 s, a hundred times a second."""
+    motion, time = still(np.zeros((2, 2)), np.array([0.1, 0.3]), np.array([0.0, 0.0, 0.5])), np.arange(151) / 100
+    normal = np.tile([0.0, 0.6, 0.8], (151, 2, 1))
+    v = rate * time[:, None, None] * normal + [1.0, 0.0, 0.0]  # and evenly across it
+    lever = np.tile(motion.lever[0], (151, 1, 1))
+    return replace(motion, time=time, x=0 * v, v=v, a=rate * normal, normal=normal, lever=lever)
+
+
+def test_air_that_follows_late_is_behind_by_what_its_equation_says():
+    """ẇ = v̇ − w/τ, from w = 0 on: w = v̇ τ (1 − exp(−t/τ))."""
+    motion = speeding_up(3.0)
+    for relaxation in (0.02, 0.25, 1.2):
+        expected = 3.0 * relaxation * (1 - np.exp(-motion.time / relaxation))
+        np.testing.assert_allclose(late(motion, relaxation), np.stack([expected] * 2, axis=1), atol=1e-9)
+        force = delayed(motion, relaxation)
+        np.testing.assert_allclose(force, -expected[:, None, None] * motion.normal, atol=1e-9)
+
+
+def test_a_power_of_the_speed_is_against_it_whichever_way_it_goes():
+    for rate in (3.0, -3.0):
+        motion = speeding_up(rate)
+        v = rate * motion.time[:, None, None]
+        np.testing.assert_allclose(power(motion, 1.5), -np.sign(rate) * np.abs(v) ** 1.5 * motion.normal, atol=1e-9)
+
+
+def test_each_lag_of_the_past_weighs_as_far_as_half_the_way_to_its_neighbours():
+    """Of steady acceleration that began long ago: the integral of a kernel that is 1 at a lag and 0 at the next ones."""
+    motion, lags = speeding_up(3.0), np.array(LAGS)
+    wide = np.concatenate([[lags[1]], lags[2:] - lags[:-2]]) / 2
+    turned = -3.0 * 0.8 * 0.5 * (0.1 + 0.3)  # N·m: kg/m²·m/s² along the normal, whose lever is 0.8 of 0.5 m
+    np.testing.assert_allclose(of_past(motion)[-1], turned * wide, rtol=1e-9)
 
 
 @pytest.mark.parametrize("rate", [30, 100])
