@@ -306,8 +306,15 @@ def test_one_amount_is_told_from_nothing_as_its_interval_has_it():
         assert told_from_nothing(found, [0], np.zeros(1)) == (found.low[0] > 0) == (factor > 1)
 
 
-@pytest.mark.parametrize(("bounds", "value", "away"), [((-1.0, 1.0), 1.9e-3, False), ((-1.0, 1.0), -2.1e-3, True),
-                                                       ((-4.0, 0.0), -3.9e-3, False), ((-4.0, 0.0), -4.1e-3, True)])  # fmt: skip
+@pytest.mark.parametrize(
+    ("bounds", "value", "away"),
+    [
+        ((-1.0, 1.0), 1.9e-3, False),
+        ((-1.0, 1.0), -2.1e-3, True),
+        ((-4.0, 0.0), -3.9e-3, False),
+        ((-4.0, 0.0), -4.1e-3, True),
+    ],
+)
 def test_an_amount_is_something_from_a_thousandth_of_its_range_on(bounds, value, away):
     space = ParameterSpace((Parameter("e.a", "a", "1", bounds, "linear", 0.0, "a", "", 0.0),))
     theta = np.array([value])

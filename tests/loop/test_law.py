@@ -307,7 +307,8 @@ def test_a_law_is_judged_on_recordings_that_it_was_not_fitted_to():
     np.testing.assert_allclose(series.errors([0, 1]), left)
     np.testing.assert_allclose(series.amounts([0, 1]), least_squares_of(series, [0, 1, 2, 3]))
     away = np.array(without) - np.mean(without, axis=0)
-    np.testing.assert_allclose(jackknife(series, [0, 1]), 3.1824 * np.sqrt(3 / 4 * np.sum(away**2, axis=0)), rtol=1e-4)
+    half = 3.1824 * np.sqrt(3 / 4 * np.sum(away**2, axis=0))  # Student's t of three degrees of freedom
+    np.testing.assert_allclose(jackknife(series, [0, 1]), half, rtol=1e-4)
     np.testing.assert_allclose(left_out(designs, series.missing), left)
     value, low, high = (np.array(ends) for ends in kernel_of(designs, series.missing, np.zeros((3, 3)), 2))
     np.testing.assert_allclose(value, [*least_squares_of(series, [0, 1, 2, 3])[1:], 0.0])
@@ -356,7 +357,7 @@ def test_nodes_of_the_lower_edge_stand_for_half_the_way_to_their_neighbours():
 
 
 def speeding_up(rate: float) -> Motion:
-    """Two nodes that go ever faster along their normal, by `rate` m/s², from rest on: 1.5 s, a hundred times a second."""
+    """Two nodes that go ever faster along their normal, by `rate` m/s², from rest on: 1.5 s at 100 Hz."""
     motion, time = still(np.zeros((2, 2)), np.array([0.1, 0.3]), np.array([0.0, 0.0, 0.5])), np.arange(151) / 100
     normal = np.tile([0.0, 0.6, 0.8], (151, 2, 1))
     v = rate * time[:, None, None] * normal + [1.0, 0.0, 0.0]  # and evenly across it
@@ -382,7 +383,7 @@ def test_a_power_of_the_speed_is_against_it_whichever_way_it_goes():
 
 
 def test_each_lag_of_the_past_weighs_as_far_as_half_the_way_to_its_neighbours():
-    """Of steady acceleration that began long ago: the integral of a kernel that is 1 at a lag and 0 at the next ones."""
+    """Of acceleration that began long ago: the integral of a kernel that is 1 at a lag and 0 at the next ones."""
     motion, lags = speeding_up(3.0), np.array(LAGS)
     wide = np.concatenate([[lags[1]], lags[2:] - lags[:-2]]) / 2
     turned = -3.0 * 0.8 * 0.5 * (0.1 + 0.3)  # N·m: kg/m²·m/s² along the normal, whose lever is 0.8 of 0.5 m

@@ -199,7 +199,7 @@ def few(recordings, off=0.0):
 
 
 def test_a_search_that_stopped_short_is_as_sure_as_one_that_did_not():
-    """How far the fit moves without each recording is told from the mean of these, not from where the search stopped."""
+    """How far the fit moves without each recording is told from the mean of these, not from where it stopped."""
     np.testing.assert_allclose(few(4, off=0.1), few(4), rtol=1e-6)
     low, high = few(4)
     assert 0 < high[0] - low[0] < 0.1

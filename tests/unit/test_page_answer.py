@@ -523,9 +523,12 @@ def test_of_one_seed_the_last_cell_with_a_number_counts():
 def test_of_several_seeds_the_cell_that_fits_best_is_shown():
     """By what it was fitted by, over all that was fitted together."""
     some = [row("a", "linen", None, value, split="fit", key=key) for key, value in (("p", 3.0), ("q", 1.0))]
-    some += [row("a", "linen", None, 0.1, split="fit", key="r", metric="fold_count"),
-             row("a", "linen", None, 0.2, split="held_out", key="s"),
-             row("a", "linen", "x", 0.3, split="fit", key="t"), row("a", "linen", None, None, split="fit", key="u")]  # fmt: skip
+    some += [
+        row("a", "linen", None, 0.1, split="fit", key="r", metric="fold_count"),
+        row("a", "linen", None, 0.2, split="held_out", key="s"),
+        row("a", "linen", "x", 0.3, split="fit", key="t"),
+        row("a", "linen", None, None, split="fit", key="u"),
+    ]
     assert best_cell(some) == "q"
     assert best_cell(some[-1:]) == "u"
 
