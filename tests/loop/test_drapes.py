@@ -21,6 +21,7 @@ from clothbench.studies.improve.drape_quantities import (
     LEAST_SPREAD,
     alike,
     asymmetries,
+    contrasts,
     elongation,
     line_of,
     specimens_of,
@@ -373,6 +374,14 @@ def test_a_name_explains_what_tells_faces_or_threads_apart_and_contradicts_none_
     assert "stay as unlike" in found.objection([a + h for a, h in zip(alike_faces, heavier, strict=True)], alike_faces)
     twins = [np.array([0.0, 0.7, 0.0, 0.7])] * 6  # alike to a hair: less than other first shapes change is nothing yet
     assert "as alike as chance" in found.objection(twins, [0 * r for r in twins])
+
+
+def test_contrasts_are_face_up_less_face_down_whichever_side_comes_first():
+    up, down = [0.5, 4e-3], [0.3, 1e-3]  # drape coefficient and elongation
+    expected = [0.2, 2.5e-3, 1.5e-3]
+    np.testing.assert_allclose(contrasts(np.array([up, down]), (1, 2)), expected)
+    np.testing.assert_allclose(contrasts(np.array([[9.0, 9.0], down, up]), (0, 2, 1)), expected)
+    np.testing.assert_allclose(contrasts(np.array([up]), (1,)), [np.nan, 4e-3, np.nan])
 
 
 def test_where_one_side_is_known_only_threads_can_be_told():
