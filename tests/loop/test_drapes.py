@@ -114,6 +114,8 @@ def test_the_spread_is_pooled_over_sides_and_knows_missing_ones():
     assert spread_of(values) == pytest.approx([0.05, 0.002], rel=0.05)
     values[::2, 1] = np.nan
     assert spread_of(values) == pytest.approx([0.05, 0.002], rel=0.05)
+    few = np.array([[1.0, 10.0], [2.0, 14.0], [3.0, np.nan]])[..., None].repeat(2, axis=2)
+    np.testing.assert_allclose(spread_of(few), (10 / 3) ** 0.5)  # 2 + 8 over 2 + 1 degrees of freedom
 
 
 def test_captures_of_one_drape_are_told_from_those_laid_on_anew():
