@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from clothbench_trackers.laser_profile import LaserProfile, in_plane
+from clothbench_trackers.laser_profile import LaserProfile, in_plane, scatter
 from scipy.spatial import cKDTree
 
 from clothbench import ClothbenchError, LaserImages, read_laser, write_laser
@@ -79,6 +79,15 @@ def test_of_a_line_too_short_to_judge_nobody_knows_the_noise(images):
     seen = LaserProfile().track(dataclasses.replace(images, image=short))
     assert seen.visible.any()
     assert np.isnan(seen.sigma)
+
+
+def test_the_noise_of_a_line_has_two_degrees_of_freedom_less_than_points():
+    """Of 45 neighbours that lie 0.1 mm to either side in turn, about the straight line through them."""
+    along = np.linspace(0.0, 0.2, 201)
+    aside = 1e-4 * (-1.0) ** np.arange(201)
+    points = np.stack([along, 0 * along, 0.5 * along], axis=1) + aside[:, None] * np.array([-0.5, 0, 1]) / 1.25**0.5
+    assert scatter(points) == pytest.approx(1e-4 * np.sqrt((45 - 1 / 45) / 43), rel=1e-4)
+    assert np.isnan(scatter(points[:44]))
 
 
 def test_a_file_gives_what_the_images_gave(images, tmp_path):
