@@ -16,7 +16,7 @@ from clothbench.plugins.discovery import catalogue
 from clothbench.studies.improve.balance import delayed, late, power, terms
 from clothbench.studies.improve.described import NUMBERS, Described
 from clothbench.studies.improve.law import Amount, Law, Series, as_good_as, chance, jackknife, law_of
-from clothbench.studies.improve.motion import Motion, motion_of, smoothed, steady_axes
+from clothbench.studies.improve.motion import Motion, bridged, motion_of, smoothed, steady_axes
 from clothbench.studies.improve.settings import LOOP
 from clothbench.studies.improve.torque import LAGS, balance_of, kernel_of, left_out, of_past, past_of, smoothest
 
@@ -354,6 +354,20 @@ def test_nodes_of_the_lower_edge_stand_for_half_the_way_to_their_neighbours():
     area = np.array([0.01, 0.02, 0.03, 0.04])
     length = 0.4 * np.array([0.35, 0.25, 0.0, 0.4])  # from 0.65 on, up to 0.25, and between
     np.testing.assert_allclose(still(along, area, np.zeros(3)).lower_edge * area, length)
+
+
+def test_a_node_that_was_long_unseen_lies_on_the_plane_of_its_neighbours():
+    """A corner of a sheet that is plane and turns; what was not seen for less than 0.3 s is left to the spline."""
+    material = np.stack([a.ravel() for a in np.meshgrid(np.linspace(0, 0.4, 5), np.linspace(0, 0.3, 4))], axis=1)
+    time = np.arange(90) / 30
+    turn = np.stack([np.cos(time), np.sin(time), 0.2 * time], axis=1)
+    truth = material[:, :1] * turn[:, None] + material[:, 1:] * [0.1, 0.2, -0.9]
+    seen = truth.copy()
+    seen[30:50, 0], seen[60:66, 0] = np.nan, np.nan
+    found = bridged(seen, material, time, 0.3)
+    np.testing.assert_allclose(found[30:50], truth[30:50], atol=1e-9)
+    assert np.isnan(found[60:66, 0]).all()
+    np.testing.assert_array_equal(np.delete(found, 0, axis=1), np.delete(truth, 0, axis=1))
 
 
 def speeding_up(rate: float) -> Motion:
