@@ -247,6 +247,20 @@ def test_the_floor_is_what_the_fabrics_own_drapes_score(quantity, times):
     assert np.mean(floors) == pytest.approx(np.mean(scored), rel=0.2)
 
 
+def test_spreads_are_those_between_captures_and_between_outlines_of_different_specimens():
+    """Rings of two specimens, 4 mm apart in each: 10, 14, 6 and 10 mm from those of the other."""
+    rings = np.array([0.12, 0.124, 0.13, 0.134])
+    seen = Outlines(np.repeat(rings[:, None], 360, axis=1), PLATE, DISC, np.array([0, 0, 1, 1]), 1e-4, PIXEL)
+    of = DrapeTracker().track(captures_of([petals(7)]))
+    there = dataclasses.replace(
+        of, outlines=seen, time=np.arange(4.0), position=np.repeat(of.position, 4, axis=0),
+        visible=np.repeat(of.visible, 4, axis=0),
+    )  # fmt: skip
+    spread = DrapeMetric(["drape_coefficient", "curve_distance"])(there, rollout([petals(7)])).spread
+    covers = 100 * (rings**2 - PLATE**2) / (DISC**2 - PLATE**2)
+    assert spread == pytest.approx([np.std(covers, ddof=1), 10.0])
+
+
 def test_outlines_are_compared_after_the_best_rotation():
     """Beside every rotation tried in turn; an outline that is not known is far from none and near to none."""
     some, others = (
