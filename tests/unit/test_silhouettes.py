@@ -256,9 +256,11 @@ def test_spreads_are_those_between_captures_and_between_outlines_of_different_sp
         of, outlines=seen, time=np.arange(4.0), position=np.repeat(of.position, 4, axis=0),
         visible=np.repeat(of.visible, 4, axis=0),
     )  # fmt: skip
-    spread = DrapeMetric(["drape_coefficient", "curve_distance"])(there, rollout([petals(7)])).spread
+    score = DrapeMetric(["drape_coefficient", "curve_distance"])(there, rollout([np.full(360, 0.12)]))
     covers = 100 * (rings**2 - PLATE**2) / (DISC**2 - PLATE**2)
-    assert spread == pytest.approx([np.std(covers, ddof=1), 10.0])
+    assert score.spread == pytest.approx([np.std(covers, ddof=1), 10.0])
+    less = (covers[0] - covers.mean()) / np.std(covers, ddof=1)  # simulated minus captured
+    assert score.residual[0, 0] == pytest.approx(less / 2**0.5, rel=0.02)
 
 
 def test_outlines_are_compared_after_the_best_rotation():
