@@ -23,7 +23,7 @@ from clothbench.studies.improve.drawings import drawing
 from clothbench.studies.improve.missing_page import balance_section, block, description_section, whereabouts_section
 from clothbench.studies.improve.settings import LOOP
 from clothbench.studies.improve.style import BLOCKS, STYLE
-from clothbench.studies.improve.words import beyond, chance, errors_of, limits, p_is, remains, sentence, sham, size
+from clothbench.studies.improve.words import beyond, chance, drawn, errors_of, limits, p_is, remains, sentence, sham, size
 
 Rows = Sequence[dict[str, Any]]
 Tables = Mapping[str, Rows]
@@ -145,7 +145,8 @@ def verdict_box(found: Mapping[str, Any]) -> str:
     pill = f'<span class="pill {SURE.get(found["verdict"], "note")}">{text(found["verdict"])}</span>'
     hint = f'<p class="soft">Hint: {text(found["hint"])}.</p>' if found["hint"] else ""
     control = f'<p class="soft">{said}</p>' if (said := sham(errors_of(found))) else ""
-    return f'<div class="verdict">{pill}<p>{sentence(found)}</p>{control}{hint}</div>'
+    split = f'<p class="soft">{said}</p>' if (said := drawn(found)) else ""
+    return f'<div class="verdict">{pill}<p>{sentence(found)}</p>{control}{hint}{split}</div>'
 
 
 def tiles(found: Mapping[str, Any]) -> str:
