@@ -8,6 +8,8 @@ from clothbench_trackers.laser_profile import LaserProfile, in_plane, scatter
 from scipy.spatial import cKDTree
 
 from clothbench import ClothbenchError, LaserImages, read_laser, write_laser
+from clothbench.core.optional import kinds_read
+from clothbench.estimation.watched import require_readable
 from clothbench.plugins import discovery
 from clothbench.recordings.kinds import read_any
 from clothbench.studies.folding.laser_camera import rendered, upper_side
@@ -114,6 +116,16 @@ def test_a_file_gives_what_the_images_gave(images, tmp_path):
 def test_bad_images_are_refused_in_one_line(images, change, fault):
     with pytest.raises(ClothbenchError, match=fault):
         dataclasses.replace(images, **change)
+
+
+def test_what_it_reads_is_said_so_that_nobody_is_sent_to_it_in_vain(recording):
+    assert kinds_read(LaserProfile) == {"laser"}
+    with pytest.raises(ClothbenchError, match=r"does not read; take tracker=markers or stripes$"):
+        require_readable(recording, "depth_mesh", discovery.catalogue())
+    with pytest.raises(ClothbenchError, match="found kind 'nodes', which the tracker 'laser_profile' does not read"):
+        require_readable(recording, "laser_profile", discovery.catalogue())
+    (outcome,) = check_tracker(LaserProfile, only=["keeps what it offers"])
+    assert outcome.skipped == "shows no steps"
 
 
 def test_bad_options_are_refused():
