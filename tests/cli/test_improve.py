@@ -269,9 +269,10 @@ def test_a_split_that_the_seed_draws_is_told_and_kept(place):
     (cell,) = (place / "bare-out" / "cells").iterdir()
     settings = json.loads((cell / "verdict.json").read_text())["settings"]
     assert settings == {"bounds": {}, "resolution": 5, "split_by_seed": True}
-    assert "No recording states a split; which of them are held out was drawn with seed 0." in (
-        cell / "index.html"
-    ).read_text()
+    assert (
+        "No recording states a split; which of them are held out was drawn with seed 0."
+        in (cell / "index.html").read_text()
+    )
 
 
 def test_a_recording_that_the_model_cannot_simulate_is_refused_before_a_fit(tmp_path):

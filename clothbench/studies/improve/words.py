@@ -87,8 +87,7 @@ def sham(error: Mapping[str, Any]) -> str:
 
 
 def drawn(found: Mapping[str, Any]) -> str:
-    """That no recording says whether it is to fit; "" where one does, or where a verdict was kept without a word on it.
-    """
+    """That no recording states a split; "" where one does, or where an older verdict has no word on it."""
     if not found.get("settings", {}).get("split_by_seed"):
         return ""
     held = found["recordings"]["held_out"]
