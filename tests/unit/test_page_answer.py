@@ -27,7 +27,8 @@ from clothbench.studies.calibration.estimates import contained, estimates
 from clothbench.studies.calibration.leaderboard import leaderboard, same_in_all
 from clothbench.studies.calibration.matrix import HOTTEST, one_way, several_ways
 from clothbench.studies.calibration.page import told_by_unit
-from clothbench.studies.calibration.parameters_page import group_by_key, model_table, strip_of, truth_said
+from clothbench.studies.calibration.parameters_page import exact, group_by_key, model_table, strip_of, truth_said
+from clothbench.studies.calibration.parameters_page import numbers as parameter_numbers
 from clothbench.studies.calibration.ranking import (
     best_cell,
     best_of,
@@ -576,6 +577,24 @@ def test_fits_that_searched_other_ranges_are_drawn_on_one_axis():
     shown = model_table("m", rows, group_by_key(estimates(some)), lambda r: r["case"])
     assert [(h["lower"], h["upper"]) for h in shown["heads"]] == [("1.00", "1000")]
     assert [strips[0].dot for _, _, strips in shown["lines"]] == pytest.approx([15.9, 82.6])
+
+
+@pytest.mark.parametrize(("conditions", "said"), [
+    ((None,), ""), ((35.0,), "Condition of the fit: 35;"),
+    ((35.0, 4512.0, None), "Condition of the fits: 35 … 4.5e+03;"),
+    ((35.0, np.inf), "Condition of the fits: 35 … infinite;"),
+])  # fmt: skip
+def test_the_condition_of_fits_is_told_below_their_parameters(conditions, said):
+    keys = [f"k{i}" for i in range(len(conditions))]
+    some = [parameter(key=key, condition=one) for key, one in zip(keys, conditions, strict=True)]
+    rows = [row("m", key, None, 1.0, key=key) for key in keys]
+    found = group_by_key(estimates(some))
+    shown = model_table("m", rows, found, lambda r: r["case"])["condition"]
+    assert shown.startswith(said)
+    assert bool(shown) == bool(said)
+    assert ("above a thousand some of the parameters move together freely." in shown) == bool(said)
+    listed = parameter_numbers(rows, found, lambda r: r["case"])
+    assert [f">{exact(one)}</td>" in listed for one in conditions if one] == [True for one in conditions if one]
 
 
 def test_a_truth_outside_of_its_interval_is_marked_and_counted():
