@@ -171,7 +171,8 @@ def test_csv_with_semicolons_and_decimal_commas_is_read_as_any_other(tmp_path):
     european = [line.replace(",", ";").replace(".", ",") for line in lines]
     dots = [line.replace(",", ";") for line in lines]
     whole = Markers(material=MATERIAL).track(write(tmp_path / "run.csv", lines))
-    for other in (european, dots, ["# unit: mm;;;", *european[1:]]):
+    rated = ["# rate: 100,0", *european]
+    for other in (european, dots, ["# unit: mm;;;", *european[1:]], rated):
         seen = Markers(material=MATERIAL).track(write(tmp_path / "other.csv", other))
         assert np.array_equal(seen.position, whole.position)
         assert np.array_equal(seen.time, whole.time)
@@ -509,6 +510,18 @@ def test_gaps_in_nodes_stay_and_gaps_in_grips_need_leave(tmp_path):
     np.testing.assert_allclose(made.grip_time, np.delete(time, [0, 5, 11]))
     np.testing.assert_allclose(made.time, time[1:-1])  # what the grip did before and after is not known
     assert np.argwhere(~made.visible).tolist() == [[5, 0]]
+
+
+@pytest.mark.parametrize("missing", [slice(5, 6), slice(4, 8)])
+def test_frames_that_are_missing_from_the_file_are_gaps_of_the_grips_too(tmp_path, missing):
+    time, position = (np.delete(each, missing, axis=0) for each in run())
+    path = write(tmp_path / "run.csv", csv_lines(time, position))
+    gap = np.diff(time).max()
+    with pytest.raises(ClothbenchError, match=rf"none for {gap:g} s after .*'fill_gaps_up_to'"):
+        record(path)
+    np.testing.assert_allclose(record(path, fill_gaps_up_to=gap).grip_time, time)
+    shaken = run()[0] + np.tile([0.0, 0.003], 6)  # of 0.01 s
+    record(write(tmp_path / "shaken.csv", csv_lines(shaken, run()[1])))
 
 
 @pytest.mark.parametrize(

@@ -108,8 +108,9 @@ def recording_from_markers(
     material, settings: as of `Markers`; cloth_width, cloth_height: m; about: further fields of
     `Recording` (name, fabric, areal_density [kg/m²], motion, licence, split, …). Nodes keep their gaps. The
     grips' clock leaves out frames in which a grip was not seen; no two of its stamps may be more than
-    fill_gaps_up_to [s] apart beyond one frame. Frames before its first and after its last stamp are
-    dropped: what drove the cloth then is not known.
+    fill_gaps_up_to [s] apart beyond one frame, whether frames in between show nothing of it or are missing
+    from the file. Frames before its first and after its last stamp are dropped: what drove the cloth then is
+    not known.
     """
     path = Path(path)
     told = _told({**settings, "material": material}, path)
