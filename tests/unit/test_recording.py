@@ -134,6 +134,12 @@ def test_a_hole_in_the_grips_log_is_not_taken_for_grips():
         held_at(whole[(whole <= 5.0) | (whole >= 7.0)])
 
 
+def test_a_recording_is_written_through_a_link(recording, tmp_path):
+    (tmp_path / "link.nc").symlink_to(tmp_path / "a.nc")
+    assert read_recording(write_recording(recording, tmp_path / "link.nc")).hash == recording.hash
+    assert (tmp_path / "link.nc").is_symlink()
+
+
 def test_a_failed_write_leaves_the_old_file(recording, tmp_path, monkeypatch):
     path = write_recording(recording, tmp_path / "a.nc")
     before = path.read_bytes()
