@@ -223,9 +223,11 @@ class DepthMesh:
         guess, held, there = first_guess(images, frame, patch.point, self.jump + LOST * pixel)
         flat = flats.Flat.of(patch.point, flats.upright(patch.triangle, guess))
         uv = flats.isometric(flat, guess)
-        held_there = held is not None and there is not None
-        uv = flats.placed(uv, uv[held], there) if held_there else boxed(uv, size)
-        extent = np.full(2, np.nan) if held_there else np.ptp(uv, axis=0)
+        if held is None or there is None:
+            uv = boxed(uv, size)
+            extent = np.ptp(uv, axis=0)
+        else:
+            uv, extent = flats.placed(uv, uv[held], there), np.full(2, np.nan)
         edge = flats.border(flat.triangle)
         edge = edge[~cut[edge]]
         for _ in range(ALIGN_ROUNDS):  # a turn of the whole is what the isometric steps find most slowly
