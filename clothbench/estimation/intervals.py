@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,7 @@ MOST = 6  # blocks of a trace that an error's interval is made from: more would 
 FEW = 3  # recordings from which on their spread says how sure their mean is
 # Step of the differences for the intervals, in units of the scaled range: it looks over ripples as the search does.
 PROBE = 0.03
+ON_BOUND = 1e-9  # of the scaled range: what a change of units may move a value by that stands on its bound
 SINGULAR = 1e10  # condition number above which the data do not determine a parameter
 
 
@@ -32,7 +33,7 @@ def intervals(trials: Sequence[Trial], space: ParameterSpace, best: np.ndarray) 
     clusters, which is the sandwich covariance CR3 of Bell and McCaffrey 2002): neighbouring frames err alike, and a
     model's error is no noise, so the textbook's σ²(JᵀJ)⁻¹ would be far too sure. Drapes have no seconds: see
     `jackknife_of_drapes`. NaN where the metric has no residuals, or where there is nothing to leave out; the
-    parameter's bounds where the data do not determine it.
+    parameter's bounds where the data do not determine it. The others move beside what is `held_by_bounds`.
     """
     nowhere = np.full(len(space), np.nan)
     unit = space.to_unit(best)
@@ -45,11 +46,35 @@ def intervals(trials: Sequence[Trial], space: ParameterSpace, best: np.ndarray) 
     jacobian = ((residual[1 : count + 1] - residual[count + 1 :]) / (up - down)[:, None]).T
     hessian = jacobian.T @ jacobian
     condition = float(np.linalg.cond(hessian)) if np.isfinite(hessian).all() else float("inf")
-    if any(trial.observation.outlines is not None for trial in trials):
-        half = jackknife_of_drapes(trials, jacobian, best)
-    else:
-        half = jackknife(jacobian, residual[0], clusters(trials, scores))
+    drapes = any(trial.observation.outlines is not None for trial in trials)
+    left_out = [changes_of_drapes(trial, best) for trial in trials] if drapes else []
+    groups, left = [] if drapes else clusters(trials, scores), residual[0]
+
+    def half_of(columns: np.ndarray) -> np.ndarray:
+        return jackknife_of_drapes(left_out, columns) if drapes else jackknife(columns, left, groups)
+
+    half = beside_held(half_of, jacobian, held_by_bounds(unit, jacobian, left))
     return space.from_unit(unit - half), space.from_unit(unit + half), condition**0.5
+
+
+def held_by_bounds(unit: np.ndarray, jacobian: np.ndarray, residual: np.ndarray) -> np.ndarray:
+    """Which parameters (P,) of a fit in the unit cube (P,) stand on a bound and would leave the range: that is where
+    Σ r² falls, from the sensitivities J (R, P) of its residual r (R,).
+    """
+    gradient = jacobian.T @ residual
+    return ((unit <= ON_BOUND) & (gradient > 0)) | ((unit >= 1 - ON_BOUND) & (gradient < 0))
+
+
+def beside_held(half_of: Callable[[np.ndarray], np.ndarray], jacobian: np.ndarray, held: np.ndarray) -> np.ndarray:
+    """Half-widths (P,) that `half_of` makes of columns of J (R, P), where some parameters are `held` (P,).
+
+    With other data these would stay where they are, so that they take nothing from the others' certainty; what the
+    data themselves say of them is told as if they were not held.
+    """
+    half = half_of(jacobian)
+    if held.any() and not held.all():
+        half[~held] = half_of(jacobian[:, ~held])
+    return half
 
 
 def jackknife(jacobian: np.ndarray, residual: np.ndarray, groups: Sequence[np.ndarray]) -> np.ndarray:
@@ -69,31 +94,29 @@ def jackknife(jacobian: np.ndarray, residual: np.ndarray, groups: Sequence[np.nd
     return half
 
 
-def jackknife_of_drapes(trials: Sequence[Trial], jacobian: np.ndarray, best: np.ndarray) -> np.ndarray:
+def jackknife_of_drapes(left_out: Sequence[tuple[np.ndarray, np.ndarray]], jacobian: np.ndarray) -> np.ndarray:
     """Half-width (P,) of the 95 % interval from leaving out each specimen, and each first shape, in turn.
 
-    Each row of a drape's residual is one quantity, of all captures and all simulated drapes at once, so rows are no
-    pieces of evidence as seconds of a film are. Captures of one specimen are alike, hence the specimen is one; the
-    other chance is which drape the simulation falls into from each of its first shapes. Both are independent, so
-    their half-widths are added as squares; so are those of several recordings' specimens. First shapes are the same in
-    all recordings, and each is left out of all at once. How far the parameters would move is −(JᵀJ)⁻¹Jᵀ times what the
-    residual changes by. NaN where a recording has a single specimen or its simulation a single first shape, since then
-    nobody knows what another would have been like.
+    left_out: of each recording what its residual changes by, see `changes_of_drapes`. Each row of a drape's residual is
+    one quantity, of all captures and all simulated drapes at once, so rows are no pieces of evidence as seconds of a
+    film are. Captures of one specimen are alike, hence the specimen is one; the other chance is which drape the
+    simulation falls into from each of its first shapes. Both are independent, so their half-widths are added as
+    squares; so are those of several recordings' specimens. First shapes are the same in all recordings, and each is
+    left out of all at once. How far the parameters would move is −(JᵀJ)⁻¹Jᵀ times what the residual changes by. NaN
+    where a recording has a single specimen or its simulation a single first shape, since then nobody knows what another
+    would have been like.
     """
-    hessian, square, start = jacobian.T @ jacobian, np.zeros(len(best)), 0
+    hessian, square, start = jacobian.T @ jacobian, np.zeros(jacobian.shape[1]), 0
     shapes: list[np.ndarray] = []  # (S, P) of each recording, how far the parameters move without each first shape
-    for trial in trials:
-        rollout = trial.simulation.run(best[None])
-        whole = _residual(trial, trial.observation, rollout)
-        rows = jacobian[start : start + len(whole)] / np.sqrt(len(whole) * len(trials))  # weighed as `evaluate` does
-        start += len(whole)
-        fewer_specimens = [_residual(trial, seen, rollout) for seen in _without_each_specimen(trial.observation)]
-        fewer_shapes = [_residual(trial, trial.observation, fewer) for fewer in _without_each_frame(rollout)]
+    for fewer_specimens, fewer_shapes in left_out:
         if min(len(fewer_specimens), len(fewer_shapes)) < 2:
-            return np.full(len(best), np.nan)
+            return np.full(jacobian.shape[1], np.nan)
+        count = fewer_specimens.shape[1]
+        rows = jacobian[start : start + count] / np.sqrt(count * len(left_out))  # weighed as `evaluate` does
+        start += count
         specimens, moved = (
-            np.linalg.lstsq(hessian, rows.T @ (np.array(others) - whole).T, rcond=1 / SINGULAR)[0].T
-            for others in (fewer_specimens, fewer_shapes)
+            np.linalg.lstsq(hessian, rows.T @ change.T, rcond=1 / SINGULAR)[0].T
+            for change in (fewer_specimens, fewer_shapes)
         )
         square += jackknife_half_width(specimens) ** 2
         shapes.append(moved)
@@ -101,6 +124,17 @@ def jackknife_of_drapes(trials: Sequence[Trial], jacobian: np.ndarray, best: np.
     half = np.sqrt(square)
     half[undetermined(hessian)] = np.inf
     return half
+
+
+def changes_of_drapes(trial: Trial, best: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What the residual (R,) of drapes changes by, (S, R) and (F, R): without each of S specimens, and without each of
+    F first shapes; of one there is nothing to leave out, (0, R).
+    """
+    rollout = trial.simulation.run(best[None])
+    whole = _residual(trial, trial.observation, rollout)
+    specimens = [_residual(trial, seen, rollout) - whole for seen in _without_each_specimen(trial.observation)]
+    shapes = [_residual(trial, trial.observation, fewer) - whole for fewer in _without_each_frame(rollout)]
+    return np.reshape(specimens, (-1, len(whole))), np.reshape(shapes, (-1, len(whole)))
 
 
 def _residual(trial: Trial, seen: Observation, rollout: Rollout) -> np.ndarray:

@@ -95,6 +95,37 @@ def test_intervals_hold_the_truth_about_as_often_as_they_say():
     assert share.mean() < 1.0
 
 
+def test_a_parameter_on_its_bound_takes_nothing_from_the_others_certainty():
+    """Beside one whose truth lies beyond its bound, and that would stay there with any data, the other's interval is as
+    wide as its estimate scatters from one set of data to the next.
+    """
+    space = ParameterSpace(
+        tuple(Parameter(name, name, "m", (0.0, 1.0), "linear", 0.5, "share", "toy") for name in ("held", "free"))
+    )
+    design = np.stack([1 + np.sin(4.8 * TIME), 1 + 0.3 * np.cos(4.8 * TIME)], axis=1)
+
+    class Alike(Toy):
+        parameters = space
+
+        def run(self, theta):
+            position = np.zeros((len(theta), TIME.size, 1, 3))
+            position[:, :, 0, 0] = theta @ design.T
+            return Rollout(TIME, position, ("ok",) * len(theta), np.ones(len(theta), int), 1)
+
+    metric, found, half, of_held = catalogue().make("metrics", "node_error", unit="m"), [], [], []
+    for seed in range(60):
+        position = Alike().run(np.array([[1.03, 0.5]])).position[0]
+        position = position + np.random.default_rng(seed).normal(0, 0.05, position.shape)
+        left = position[:, 0, 0] - design[:, 0]
+        found.append(design[:, 1] @ left / (design[:, 1] @ design[:, 1]))
+        seen = Observation(TIME, position, np.ones((TIME.size, 1), bool), 0.05, np.zeros((1, 2)))
+        low, high, _ = intervals([Trial("alike", seen, Alike(), metric)], space, np.array([1.0, found[-1]]))
+        half.append((high[1] - low[1]) / 2)
+        of_held.append(low[0])
+    assert np.median(half) == pytest.approx(2.2 * np.std(found, ddof=1), rel=0.25)  # Student's t of twelve seconds
+    assert np.median(of_held) < 0.98  # what the data say of the held one itself is told all the same
+
+
 def test_what_the_data_do_not_determine_gets_its_bounds():
     blind = ParameterSpace((*SPACE, Parameter("idle", "c", "1", (0.0, 1.0), "linear", 0.5, "does nothing", "toy")))
 

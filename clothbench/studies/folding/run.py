@@ -23,7 +23,7 @@ from clothbench.core.rollout import Rollout
 from clothbench.engine.cells import Skipped
 from clothbench.engine.rows import about_cell, no_value
 from clothbench.engine.study import Context, Result
-from clothbench.estimation.intervals import jackknife
+from clothbench.estimation.intervals import beside_held, held_by_bounds, jackknife
 from clothbench.estimation.search import drive
 from clothbench.modelling.joined import JoinedParameters
 from clothbench.plugins.discovery import Catalogue
@@ -113,7 +113,8 @@ class Hand:
             return np.full((2, len(unit)), np.nan)
         count, here = len(unit), self.hold(best[None], near).profile[0]
         jacobian = ((residual[1 : count + 1] - residual[count + 1 :]) / (up - down)[:, None]).T
-        half = jackknife(jacobian, residual[0], _pieces(here, seen, residual.shape[1]))
+        pieces, left = _pieces(here, seen, residual.shape[1]), residual[0]
+        half = beside_held(lambda j: jackknife(j, left, pieces), jacobian, held_by_bounds(unit, jacobian, left))
         return np.stack([self.space.from_unit(unit - half), self.space.from_unit(unit + half)])
 
 
