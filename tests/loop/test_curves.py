@@ -139,6 +139,22 @@ def test_the_floor_is_the_spread_between_runs_at_equal_stretch():
     assert 0.4 < found["error"]["noise_floor"] < 1.6  # 10 % of 20 N times a strain of 0.35, of four runs
 
 
+@pytest.mark.parametrize("samples", [180, 250, 1000])
+def test_the_noise_of_a_single_run_is_no_wave_of_uneven_steps(samples):
+    """Of a steep straight line, as a median over a step lies off it by what noise alone makes of so many samples, which
+    are 3, or now 4 and now 5, or more: equal differences had told up to six times as much.
+    """
+    stretch, random = np.linspace(1.0, 1.3, samples), np.random.default_rng(0)
+    told, true = [], []
+    for _ in range(20):
+        curve = Curve("alone", stretch, 1000 * (stretch - 1) + random.normal(0, SIGMA, samples))
+        evidence = curve_evidence([curve], ["fit"])
+        told.append(evidence.noise())
+        steps = evidence.cases[0].observation
+        true.append(np.std(steps.force - 1000 * (steps.stretch - 1)))
+    assert np.mean(told) == pytest.approx(np.mean(true), rel=0.15)
+
+
 def test_the_spread_is_of_force_per_width():
     """Samples of one cloth, twice as wide: all that differs is the noise of their load cell."""
     stretch = np.linspace(1.0, 1.4, SAMPLES)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.statistics import NORMAL, third_differences
 from clothbench.recordings.curve import Curve
 
 STEPS = 60  # of the common range of stretch, where the recordings have samples enough
@@ -70,8 +71,9 @@ def floor_of(seen: Sequence[CurveObservation], curves: Sequence[Curve]) -> float
     stated = [curve.noise_sigma for curve in curves if math.isfinite(curve.noise_sigma)]
     if stated:
         return stated[0]
-    jumps = [np.diff(one.force[one.visible], n=3) for one in seen]
-    return float(1.4826 * np.median(np.abs(np.concatenate(jumps))) / math.sqrt(20)) if jumps else math.nan
+    jumps = [third_differences(one.stretch[one.visible], one.force[one.visible]) for one in seen]
+    known = np.concatenate([*jumps, []])
+    return NORMAL * float(np.median(np.abs(known))) if known.size else math.nan
 
 
 def spread(seen: Sequence[CurveObservation], widths: Sequence[float]) -> float:

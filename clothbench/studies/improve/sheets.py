@@ -15,6 +15,7 @@ from clothbench.core.protocols import Effect, Model, Score
 from clothbench.core.resting import remember_rest
 from clothbench.core.rollout import Rollout
 from clothbench.core.scene import Scene
+from clothbench.core.statistics import NORMAL, third_differences
 from clothbench.estimation.trials import Trial
 from clothbench.recordings.nodes import Recording
 from clothbench.studies.improve.evidence import Comparison, Rows, Surrogate, Unit, prepared, without_switches
@@ -247,14 +248,9 @@ def noise_of(observation: Observation) -> float:
     if np.isfinite(observation.sigma) or len(time) < 4:
         return observation.sigma
     x = np.where(observation.visible[..., None], observation.in_measured(observation.position), np.nan)
-    four = np.stack([time[k : len(time) - 3 + k] for k in range(4)], axis=1)
-    apart = four[:, :, None] - four[:, None] + np.eye(4)  # 1 on the diagonal, which is left out of the product so
-    weight = 1 / apart.prod(axis=2)
-    weight /= np.sqrt(np.square(weight).sum(axis=1, keepdims=True))
-    near = four[:, 3] - four[:, 0] <= 2 * np.median(four[:, 3] - four[:, 0])
-    third = np.sum([weight[near, k, None, None] * x[k : len(time) - 3 + k][near] for k in range(4)], axis=0)
+    third = third_differences(time, x)
     known = third[np.isfinite(third)]
-    return 1.4826 * float(np.median(np.abs(known))) if known.size else math.nan
+    return NORMAL * float(np.median(np.abs(known))) if known.size else math.nan
 
 
 def field_of(observation: Observation, residual: np.ndarray) -> np.ndarray:
