@@ -1,4 +1,4 @@
-"""Student's t, as intervals and tests of several rooms want it, noise told from neighbours, and points that fill a cube.
+"""Student's t, as intervals and tests of several rooms want it, noise among neighbours, points that fill a cube evenly.
 
 The quantiles are those of scipy.stats to the last bit, from scipy.special, which scipy loads when the first is asked
 for: scipy.stats takes half a second to import and this a quarter, which every command would wait for.
@@ -60,9 +60,9 @@ def standing_out(values: np.ndarray, level: float = 0.05) -> np.ndarray:
 
 
 def third_differences(at: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Third divided differences (M, …) of neighbouring samples (T, …) at places (T,) that rise, in units of the samples'
-    own σ: what is smooth is hardly left in them. Samples with others missing between them, as far apart as twice as
-    many usually are, have no say: the curve would pass for noise.
+    """Third divided differences (M, …) of neighbouring samples (T, …) at places (T,) that rise, in units of their own σ:
+    what is smooth is hardly left in them. Samples with others missing between them, as far apart as twice as many
+    usually are, have no say: the curve would pass for noise.
     """
     if len(at) < 4:
         return np.zeros((0, *values.shape[1:]))

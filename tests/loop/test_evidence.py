@@ -281,6 +281,39 @@ def test_noise_is_told_from_motion_though_frames_are_missing():
         assert seen(stamps) == pytest.approx(1e-3, rel=0.15)
 
 
+def noise_in(position: np.ndarray) -> float:
+    """Told of positions (T, N, 3) at 30 frames a second that state none."""
+    frames, nodes = position.shape[:2]
+    seen, material = np.ones((frames, nodes), bool), np.random.default_rng(0).random((nodes, 2))
+    return noise_of(Observation(np.arange(frames) / 30, position, seen, np.nan, material))
+
+
+@pytest.mark.parametrize("frames", [6, 8, 20, 150])
+def test_noise_is_the_rms_over_coordinates_also_of_a_sensor_that_sees_depth_worse(frames):
+    random, sigma = np.random.default_rng(frames), np.array([0.5e-3, 0.5e-3, 3e-3])
+    position = random.normal(0, sigma, (frames, 2000, 3))
+    assert noise_in(position) == pytest.approx(np.sqrt(np.mean(sigma**2)), rel=0.06)
+
+
+def test_nodes_written_without_noise_do_not_count_in_it():
+    position = np.random.default_rng(0).normal(0, 1e-3, (150, 16, 3))
+    position[:, :4] = 0.1 * np.sin(np.arange(150) / 30)[:, None, None]  # held, and moved exactly
+    assert noise_in(position) == pytest.approx(1e-3, rel=0.05)
+    assert noise_in(0 * position) == 0.0
+
+
+@pytest.mark.parametrize("away", [0.0, 0.05])
+@pytest.mark.parametrize("sigma", [0.05e-3, 0.1e-3, 0.3e-3])
+def test_noise_of_what_is_rounded_is_no_less_than_its_rounding(away, sigma):
+    """Of a sheet at rest most coordinates stay what they are from frame to frame."""
+    random, grid = np.random.default_rng(1), 1e-3
+    motion = away * np.sin(0.7 * 2 * np.pi * np.arange(150) / 30)[:, None, None] * np.array([1, 0.05, 0.3])
+    position = random.random((1, 25, 3)) + motion + random.normal(0, sigma, (150, 25, 3))
+    told = noise_in(np.round(position / grid) * grid)
+    assert told >= 0.999 * grid / np.sqrt(12)
+    assert told == pytest.approx(np.hypot(sigma, grid / np.sqrt(12)), rel=0.4)
+
+
 def test_a_run_out_of_time_begins_no_further_round_and_says_so():
     finding = improve(problem_of(runs(0, lambda e: 0.05 * np.expm1(9 * e))), ["strain_locking"], timeout=1e-9)
     assert finding.timed_out

@@ -27,6 +27,9 @@ from clothbench.studies.improve.sheet_tables import sheet_tables
 from clothbench.studies.improve.torque import Balance, balance_of
 from clothbench.studies.improve.whereabouts import whereabouts
 
+WITHOUT_NOISE = 1e-3  # of the most that a coordinate shows as its noise: one that shows less was written without any
+LEAST_GRID = 1e-7  # m: a rounding finer than this is none that matters
+MULTIPLES = 3  # different ones of a grid, by which it is known for one
 THIRDS = ("upper", "middle", "lower")  # of a hanging sheet, along v
 
 
@@ -240,17 +243,37 @@ def refined(scene: Scene) -> Scene:
 
 
 def noise_of(observation: Observation) -> float:
-    """σ of one coordinate [m]: as stated, else by third divided differences of neighbouring frames (in units of their
-    own σ), whose median absolute value wrinkles and jumps hardly change. Frames with others missing between them, as
-    far apart as twice as many usually are, have no say: motion would pass for noise.
+    """σ of one coordinate [m]: as stated, else the rms over nodes and coordinates of what each shows as its own: a
+    sensor may see one direction worse than others. What it shows is the median of absolute third differences, which
+    wrinkles and jumps hardly change; of few frames its square comes out too large (by 4/(n + 1), found by simulation).
+    Nodes written without noise, as held ones may be, do not count, and none has less than its rounding.
     """
-    time = observation.time
-    if np.isfinite(observation.sigma) or len(time) < 4:
+    if np.isfinite(observation.sigma):
         return observation.sigma
     x = np.where(observation.visible[..., None], observation.in_measured(observation.position), np.nan)
-    third = third_differences(time, x)
-    known = third[np.isfinite(third)]
-    return NORMAL * float(np.median(np.abs(known))) if known.size else math.nan
+    third = third_differences(observation.time, x)
+    third = third.reshape(len(third), math.prod(x.shape[1:]))
+    count = np.isfinite(third).sum(axis=0)
+    if not count.any():
+        return math.nan
+    third, count = third[:, count > 0], count[count > 0]
+    each = NORMAL * np.nanmedian(np.abs(third), axis=0) / np.sqrt(1 + 4 / (count + 1))
+    each = np.maximum(each, grid_of(x) / math.sqrt(12))
+    noisy = each >= WITHOUT_NOISE * each.max()
+    return float(np.sqrt(np.average(np.square(each[noisy]), weights=count[noisy])))
+
+
+def grid_of(x: np.ndarray) -> float:
+    """What coordinates (T, N, C) m are rounded to [m]: their moves from frame to frame are whole multiples of the least
+    of them, among them several different ones; 0 where they are not.
+    """
+    moves = np.abs(np.diff(x, axis=0))
+    moves = moves[moves > LEAST_GRID]
+    if not moves.size:
+        return 0.0
+    times = moves / moves.min()
+    whole = np.round(times)
+    return float(moves.min()) if (abs(times - whole) < 1e-3).all() and len(np.unique(whole)) >= MULTIPLES else 0.0
 
 
 def field_of(observation: Observation, residual: np.ndarray) -> np.ndarray:
