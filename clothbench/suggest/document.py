@@ -50,7 +50,7 @@ def suggestion(subject: Subject, found: Sequence[Promise], left: Sequence[LeftOu
 
 def parameters(known: Known) -> dict[str, Any]:
     """Each parameter with its interval by what the recordings tell. On a bound it is the bound that chose the value."""
-    half, at_bound = known.half, known.fitted.at_bound
+    half, at_bound = known.told, known.fitted.at_bound
     return {
         p.name: {
             "value": float(known.fitted.theta[k]), **ends(known, half)[p.name], "unit": p.unit, "meaning": p.meaning,
@@ -71,7 +71,7 @@ def entry(subject: Subject, number: int, promise: Promise, wanted: Wanted) -> di
     """One experiment with what it promises; factors are of the intervals' widths, now over then."""
     known, experiment = subject.known, promise.experiment
     speed, acceleration = experiment.fastest(promise.duration)
-    now, expected = known.half, ends(known, promise.after)
+    now, expected = known.half, ends(known, known.told * promise.after / known.half)
     return {
         "rank": number, "name": name_of(promise), "grips": experiment.grips, "motion": experiment.motion,
         "duration_s": promise.duration, "frames_per_s": subject.rate, "points": len(experiment.scene.points),

@@ -13,7 +13,7 @@ from clothbench.core.errors import ClothbenchError
 from clothbench.core.observation import Observation
 from clothbench.core.protocols import Score
 from clothbench.core.scene import Scene
-from clothbench.estimation.intervals import clusters
+from clothbench.estimation.intervals import beside_held, clusters, held_by_bounds, jackknife
 from clothbench.estimation.trials import Trial
 from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.fitting import finite_differences, fit
@@ -21,7 +21,15 @@ from clothbench.studies.improve.problem import Problem
 from clothbench.studies.improve.refinement import refinements
 from clothbench.studies.improve.settings import LOOP
 from clothbench.studies.improve.sheets import SheetCase, SheetEvidence, noise_of
-from clothbench.suggest.information import beforehand, counted_noise, half_widths, information, pull_of
+from clothbench.suggest.information import (
+    BEFOREHAND,
+    beforehand,
+    counted_noise,
+    half_widths,
+    information,
+    pull_of,
+    told_apart,
+)  # fmt: skip
 from clothbench.suggest.settings import Sensor
 from clothbench.suggest.weighted import patient, weighted
 
@@ -35,7 +43,8 @@ class Known:
 
     fitted: the fit; counted: (R,) m, what each coordinate of each recording counts as its noise; noise: m, the
     sensor's; mesh: m, what a finer mesh would change in each recording, (M,) each; matrix: (P, P), the information of
-    the recordings and of the range that is searched, in the unit cube; pull: (P,), how the mesh pulls at the fit.
+    the recordings and of the range that is searched, in the unit cube; pull: (P,), how the mesh pulls at the fit;
+    groups: row numbers of each recording's residual, by its pieces of evidence, seconds.
     """
 
     fitted: Fitted
@@ -44,6 +53,7 @@ class Known:
     mesh: tuple[np.ndarray, ...]
     matrix: np.ndarray
     pull: np.ndarray
+    groups: tuple[list[np.ndarray], ...]
 
     @cached_property
     def unit(self) -> np.ndarray:
@@ -52,8 +62,28 @@ class Known:
 
     @property
     def half(self) -> np.ndarray:
-        """Half-widths of the 95 % intervals (P,), in scaled ranges."""
+        """Half-widths of the 95 % intervals (P,), in scaled ranges, as far as the information goes."""
         return half_widths(self.matrix, self.pull)
+
+    @cached_property
+    def told(self) -> np.ndarray:
+        """The same as they are told: no narrower than a calibration's, up to the range that counts as known.
+
+        What a model errs by lasts, so that sums over whole recordings go astray further than those over seconds say of
+        which the fit has taken its share: without a second of one the fit would move so far (see `jackknife`).
+        """
+        count = np.array([len(of_one) for of_one in self.groups])
+        counted, fitted, start = told_apart(self.counted, count), self.fitted, 0
+        pieces, residual, jacobian = [], [], []
+        for r, j, of_one, kappa in zip(fitted.residual, fitted.jacobian, self.groups, counted, strict=True):
+            residual.append(r / kappa)
+            jacobian.append(j / kappa)
+            pieces += [start + rows for rows in of_one]
+            start += len(r)
+        left, columns = np.concatenate(residual), np.vstack(jacobian)
+        held = held_by_bounds(self.unit, columns, left)
+        astray = beside_held(lambda some: jackknife(some, left, pieces), columns, held)
+        return np.maximum(self.half, np.minimum(astray, BEFOREHAND))
 
     @property
     def usual(self) -> float:
@@ -169,14 +199,11 @@ def known_of(problem: Problem, fitted: Fitted) -> Known:
         raise ClothbenchError(
             f"{short}: noise_sigma: found NaN in a recording too short to show its noise, expected metres; state it"
         )
-    counted = np.array(
-        [
-            counted_noise(residual, jacobian, seconds(trial, len(residual)), sigma)
-            for trial, residual, jacobian, sigma in zip(trials, fitted.residual, fitted.jacobian, noise, strict=True)
-        ]
-    )
-    mesh = mesh_errors(problem, fitted)
-    return counting(Known(fitted, counted, float(np.sqrt(np.mean(noise**2))), mesh, np.empty(0), np.empty(0)), counted)
+    groups = tuple(seconds(trial, len(residual)) for trial, residual in zip(trials, fitted.residual, strict=True))
+    each = zip(fitted.residual, fitted.jacobian, groups, noise, strict=True)
+    counted = np.array([counted_noise(*one) for one in each])
+    sensor, mesh, nothing = float(np.sqrt(np.mean(noise**2))), mesh_errors(problem, fitted), np.empty(0)
+    return counting(Known(fitted, counted, sensor, mesh, nothing, nothing, groups), counted)
 
 
 def mesh_errors(problem: Problem, fitted: Fitted) -> tuple[np.ndarray, ...]:

@@ -34,6 +34,7 @@ from clothbench.suggest.information import (
     information,
     pull_of,
     separation,
+    told_apart,
 )  # fmt: skip
 from clothbench.suggest.settings import Wanted, wanted_of
 
@@ -211,7 +212,57 @@ def fit_of(left: float, names: tuple[str, ...]) -> SimpleNamespace:
         space=space, theta=np.array([0.5]), effects=names, residual=[np.full(9, left)] * 2,
         jacobian=[np.ones((9, 1))] * 2,
     )  # fmt: skip
-    return subject.Known(fitted, np.full(2, 0.1), 0.01, (np.zeros(9),) * 2, np.empty(0), np.empty(0))
+    return subject.Known(
+        fitted, np.full(2, 0.1), 0.01, (np.zeros(9),) * 2, np.empty(0), np.empty(0), ([np.arange(9)],) * 2
+    )
+
+
+def lasting_errors(random: np.random.Generator, count: int, tau: float) -> np.ndarray:
+    """Errors (count,) of variance 1, 30 a second, that hang together over `tau` s."""
+    keep = np.exp(-1 / 30 / tau) if tau else 0.0
+    out = random.standard_normal(count)
+    for k in range(1, count):
+        out[k] = keep * out[k - 1] + np.sqrt(1 - keep**2) * out[k]
+    return out
+
+
+@pytest.mark.parametrize("tau", [0.0, 0.1, 0.33])
+@pytest.mark.parametrize(("recordings", "seconds"), [(1, 2), (2, 2), (3, 4)])
+def test_what_is_told_of_a_parameter_holds_it_about_as_often_as_it_says(recordings, seconds, tau):
+    """Of errors that hang together the information alone is far too sure."""
+    random, count = np.random.default_rng(7), 30 * seconds
+    time, space = np.arange(count) / 30, ParameterSpace(
+        tuple(Parameter(n, n, "1", (0.0, 1.0), "linear", 0.5, "a number", "a test") for n in "ab")
+    )  # fmt: skip
+    groups = (np.array_split(np.arange(count), seconds),) * recordings
+    jacobian = [20 * np.stack([np.ones(count), np.sin(4.8 * time + k)], axis=1) for k in range(recordings)]
+    inside, first_order, weight = [], [], np.ones(recordings)
+    for _ in range(150):
+        errors = [lasting_errors(random, count, tau) for _ in range(recordings)]
+        for _ in range(2):  # the second time each recording counts by what the first one left of it
+            normal = sum(w * j.T @ j for w, j in zip(weight, jacobian, strict=True))
+            found = np.linalg.solve(normal, sum(w * j.T @ e for w, j, e in zip(weight, jacobian, errors, strict=True)))
+            left = [j @ found - e for j, e in zip(jacobian, errors, strict=True)]
+            counted = np.array([counted_noise(*one, 0.0) for one in zip(left, jacobian, groups, strict=True)])
+            weight = 1 / counted**2
+        fitted = SimpleNamespace(space=space, theta=0.5 + found, residual=left, jacobian=jacobian)
+        mesh = tuple(np.zeros((recordings, count)))
+        known = subject.Known(fitted, counted, 0.0, mesh, np.empty(0), np.empty(0), groups)
+        known = subject.counting(known, counted)
+        inside.append(np.abs(found) <= known.told)
+        first_order.append(np.abs(found) <= known.half)
+        assert (known.told >= known.half).all()
+    assert np.mean(inside, axis=0).min() > 0.84
+    assert 0.9 < np.mean(inside) < 1.0
+    if tau:
+        assert np.mean(inside) > np.mean(first_order) + 0.04
+
+
+def test_noises_that_chance_may_part_are_the_same():
+    assert told_apart(np.array([1.0, 1.3, 0.8]), np.array([4, 4, 4])) == pytest.approx([1.053] * 3, rel=1e-3)
+    far = told_apart(np.array([1.0, 1.1, 30.0]), np.array([4, 4, 4]))
+    assert far[2] / far[0] > 15
+    assert told_apart(np.array([2.0]), np.array([2])) == pytest.approx([2.0])
 
 
 @pytest.mark.parametrize(("left", "first"), [(0.11, "drag"), (0.099, "drag"), (0.01, "wind")])
