@@ -12,9 +12,11 @@ import scipy
 NORMAL = 1.4826  # times the median absolute value of what is normally distributed about 0: its σ
 
 
-def student(freedom: float) -> float:
-    """Half-width of a two-sided 95 % interval in standard errors; NaN without a degree of freedom."""
-    return float(scipy.special.stdtrit(freedom, 0.975))
+def student(freedom: float, of: int = 1) -> float:
+    """Half-width of a two-sided 95 % interval in standard errors; NaN without a degree of freedom. of: so many
+    intervals that all hold at once in 95 % of cases or more (Bonferroni).
+    """
+    return float(scipy.special.stdtrit(freedom, 1 - 0.025 / of))
 
 
 def student_quantile(level: float, freedom: np.ndarray) -> np.ndarray:
@@ -32,9 +34,9 @@ def fisher_quantile(level: float, numerator: float, denominator: float) -> float
     return float(scipy.special.fdtri(numerator, denominator, level))
 
 
-def t_interval(values: np.ndarray) -> tuple[float, float]:
-    """95 % interval of the mean of at least two values (N,), Student's t."""
-    half = student(len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values))
+def t_interval(values: np.ndarray, of: int = 1) -> tuple[float, float]:
+    """95 % interval of the mean of at least two values (N,), Student's t; of: as `student` has it."""
+    half = student(len(values) - 1, of) * values.std(ddof=1) / np.sqrt(len(values))
     return float(values.mean() - half), float(values.mean() + half)
 
 
@@ -60,8 +62,8 @@ def standing_out(values: np.ndarray, level: float = 0.05) -> np.ndarray:
 
 
 def third_differences(at: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Third divided differences (M, …) of neighbouring samples (T, …) at places (T,) that rise, in units of their own σ:
-    what is smooth is hardly left in them. Samples with others missing between them, as far apart as twice as many
+    """Third divided differences (M, …) of neighbouring samples (T, …) at places (T,) that rise, in units of their σ:
+    what is smooth is hardly left. Samples with others missing between them, as far apart as twice as many
     usually are, have no say: the curve would pass for noise.
     """
     if len(at) < 4:

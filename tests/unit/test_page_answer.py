@@ -137,6 +137,19 @@ def test_models_that_take_turns_are_tied():
     assert overall(found)[1].tied
 
 
+@pytest.mark.parametrize(("ways", "recordings"), [(2, 5), (5, 5), (8, 10)])
+def test_of_equally_good_ways_any_is_called_worse_in_one_of_twenty_cases_at_most(ways, recordings):
+    """However many there are: of eight that were compared two by two, one was in every second case or so."""
+    random, count = np.random.default_rng(3), 150
+    in_the_case, over_all = 0, 0
+    for _ in range(count):
+        errors = np.exp(0.2 * random.standard_normal((ways, recordings)))
+        found = standings(rows_of({f"m{k}": one.tolist() for k, one in enumerate(errors)}), "fold")
+        in_the_case += len(best_of(found["linen"])) < ways
+        over_all += not all(one.tied for one in overall(found)[1:])
+    assert max(in_the_case, over_all) < 0.1 * count
+
+
 def test_of_one_recording_without_an_interval_nothing_is_known():
     found = standings(rows_of({"a": [1.0], "b": [1.001]}), "fold")
     assert best_of(found["linen"]) == ["a", "b"]

@@ -7,7 +7,7 @@ the same settings; seeds are repetitions of it, and of one seed one cell counts,
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -206,7 +206,12 @@ def best_of(standing: Mapping[str, Standing]) -> list[str]:
     if not known:
         return []
     first = min(known, key=lambda w: known[w].value or 0.0)
-    return [first, *(w for w in known if w != first and tied(known[first], known[w]))]
+    return [first, *(w for w in known if w != first and tied(known[first], known[w], pairs_of(known)))]
+
+
+def pairs_of(ways: Collection[str]) -> int:
+    """How many pairs of ways may be compared, 1 at least: which of them is compared with the best, chance decides."""
+    return max(1, math.comb(len(ways), 2))
 
 
 def alike(standing: Mapping[str, Standing]) -> dict[str, Standing]:
@@ -228,8 +233,9 @@ def left_out(standing: Mapping[str, Standing]) -> set[str]:
     return {n for way in compared for n in standing[way].errors.keys() - compared[way].errors.keys()}
 
 
-def tied(a: Standing, b: Standing) -> bool:
-    """Whether the 95 % interval of the mean difference, recording by recording, includes 0.
+def tied(a: Standing, b: Standing, of: int = 1) -> bool:
+    """Whether the 95 % interval of the mean difference, recording by recording, includes 0; of: so many pairs that are
+    compared, of equally good ways of which 5 % at most have any two told apart (Bonferroni).
 
     Student's t over recordings, each with the mean of its seeds. Of fewer recordings the intervals of the single errors
     decide together, and of three seeds or more these as well: that all of them end in one place says nothing of the
@@ -240,41 +246,41 @@ def tied(a: Standing, b: Standing) -> bool:
         return True
     difference = np.array([a.means[n] - b.means[n] for n in shared])
     if len(shared) >= FEW:
-        return includes_zero(difference)
+        return includes_zero(difference, of)
     seeds, spread = min(len(x.errors[n]) for x in (a, b) for n in shared), False
     if seeds >= FEW:
         by_seed = [[s.errors[n][k] for n in shared] for s in (a, b) for k in range(seeds)]
         means = np.mean(by_seed, axis=1)
-        if unpaired_includes_zero(means[:seeds], means[seeds:]):
+        if unpaired_includes_zero(means[:seeds], means[seeds:], of):
             return True
         spread = bool(np.ptp(means[:seeds]) or np.ptp(means[seeds:]))
     halves = [x.halves.get(n, math.nan) for x in (a, b) for n in shared]
     if np.isnan(halves).any():
         return not spread
     joint = float(np.sqrt(np.sum(np.square(halves)))) / len(shared)
-    return bool(abs(difference.mean()) <= joint)
+    return bool(abs(difference.mean()) <= joint * student(math.inf, of) / student(math.inf))
 
 
-def includes_zero(values: np.ndarray) -> bool:
-    """Whether the 95 % interval of the mean of some values (n,) includes 0 (Student's t)."""
-    low, high = t_interval(values)
+def includes_zero(values: np.ndarray, of: int = 1) -> bool:
+    """Whether the 95 % interval of the mean of some values (n,), one of so many, includes 0 (Student's t)."""
+    low, high = t_interval(values, of)
     return low <= 0 <= high
 
 
-def unpaired_includes_zero(a: np.ndarray, b: np.ndarray) -> bool:
+def unpaired_includes_zero(a: np.ndarray, b: np.ndarray, of: int = 1) -> bool:
     """The same of the difference of two means, (n,) and (m,), with variances of their own (Welch 1947)."""
     va, vb = a.var(ddof=1) / len(a), b.var(ddof=1) / len(b)
     if va + vb == 0:
         return bool(a.mean() == b.mean())
     freedom = (va + vb) ** 2 / (va**2 / (len(a) - 1) + vb**2 / (len(b) - 1))
-    return bool(abs(a.mean() - b.mean()) <= student(freedom) * math.sqrt(va + vb))
+    return bool(abs(a.mean() - b.mean()) <= student(freedom, of) * math.sqrt(va + vb))
 
 
 @dataclass(frozen=True)
 class Overall:
     """One way over all cases: ratio: geometric mean of its errors over the best way's, recording by recording, with its
-    95 % interval (None for the best itself, or of fewer than three recordings); tied: whether that includes 1, and of
-    fewer recordings whether it is tied with the best way in any case.
+    95 % interval, of all pairs of ways at once (None for the best itself, or of fewer than three recordings); tied:
+    whether that includes 1, and of fewer recordings whether it is tied with the best way in any case.
     """
 
     way: str
@@ -302,7 +308,7 @@ def overall(found: Mapping[str, Mapping[str, Standing]]) -> list[Overall]:
     mean = {way: float(np.mean(list(values.values()))) for way, values in logs.items()}
     order = sorted(whole, key=lambda w: mean[w])
     pairs = {way: [(case[order[0]], case[way]) for case in cases] for way in order}
-    return [_overall(way, logs[way], logs[order[0]], pairs[way]) for way in order]
+    return [_overall(way, logs[way], logs[order[0]], pairs[way], pairs_of(whole)) for way in order]
 
 
 def _of_zeros(errors: Mapping[str, Mapping[str, float]], cases: Sequence[Mapping[str, Standing]]) -> list[Overall]:
@@ -316,26 +322,26 @@ def _of_zeros(errors: Mapping[str, Mapping[str, float]], cases: Sequence[Mapping
     out = [Overall(first, 1.0, None, None, False, len(errors[first]))]
     for way in others:
         ratio = share[way] / share[first] if share[first] else (math.inf if share[way] else 1.0)
-        pairs = [(case[first], case[way]) for case in cases]
-        out.append(Overall(way, ratio, None, None, not _apart(pairs), len(errors[way].keys() & errors[first].keys())))
+        pairs, mine = [(case[first], case[way]) for case in cases], errors[way].keys() & errors[first].keys()
+        out.append(Overall(way, ratio, None, None, not _apart(pairs, pairs_of(errors)), len(mine)))
     return out
 
 
-def _apart(cases: Sequence[tuple[Standing, Standing]]) -> bool:
-    """Whether the first of two ways is better in each of several cases, by more than noise decides."""
-    return all((a.value or 0.0) < (b.value or 0.0) and not tied(a, b) for a, b in cases)
+def _apart(cases: Sequence[tuple[Standing, Standing]], of: int) -> bool:
+    """Whether the first of two ways is better in each of several cases, by more than noise decides; of: see `tied`."""
+    return all((a.value or 0.0) < (b.value or 0.0) and not tied(a, b, of) for a, b in cases)
 
 
 def _overall(
-    way: str, mine: dict[str, float], best: dict[str, float], cases: Sequence[tuple[Standing, Standing]]
+    way: str, mine: dict[str, float], best: dict[str, float], cases: Sequence[tuple[Standing, Standing]], of: int
 ) -> Overall:  # fmt: skip
-    """cases: the best way's standing and its own, case by case."""
+    """cases: the best way's standing and its own, case by case; of: as in `tied`."""
     first = all(a is b for a, b in cases)
     difference = np.array([mine[n] - best[n] for n in mine if n in best])
     ratio = float(np.exp(difference.mean())) if len(difference) else math.nan
     if first or len(difference) < FEW:
-        return Overall(way, ratio, None, None, not (first or _apart(cases)), len(difference))
-    low, high = t_interval(difference)
+        return Overall(way, ratio, None, None, not (first or _apart(cases, of)), len(difference))
+    low, high = t_interval(difference, of)
     return Overall(way, ratio, math.exp(low), math.exp(high), low <= 0 <= high, len(difference))
 
 
