@@ -7,15 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clothbench import ClothbenchError, Curve
+from clothbench import ClothbenchError, Curve, Parameter, ParameterSpace
 from clothbench.engine.checkpoint import Checkpoint
 from clothbench.plugins.discovery import catalogue
+from clothbench.studies.improve.attribution import Probe
 from clothbench.studies.improve.candidates import candidates_of
 from clothbench.studies.improve.curve_steps import CurveObservation, common_steps, floor_of, loading, observed, spread
 from clothbench.studies.improve.curves import CurveCase, curve_evidence
 from clothbench.studies.improve.document import verdict_document
+from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.fitting import fit
 from clothbench.studies.improve.loop import improve
+from clothbench.studies.improve.permutation import permutation_test
 from clothbench.studies.improve.plan import require_able
 from clothbench.studies.improve.problem import Problem
 
@@ -153,6 +156,33 @@ def test_the_noise_of_a_single_run_is_no_wave_of_uneven_steps(samples):
         steps = evidence.cases[0].observation
         true.append(np.std(steps.force - 1000 * (steps.stretch - 1)))
     assert np.mean(told) == pytest.approx(np.mean(true), rel=0.15)
+
+
+def test_of_a_single_run_nothing_is_told_from_chance():
+    """How a smooth curve differs from a model is one draw, whatever it is made of; of two runs there are two."""
+
+    def smallest(count: int, seed: int) -> float:
+        random, stretch = np.random.default_rng(seed), np.linspace(1.0, 1.3, 40)
+        x = (stretch - 1) / 0.3
+        left = [np.polynomial.legendre.legval(2 * x - 1, random.normal(size=7) / np.arange(1, 8)) for _ in range(count)]
+        space = ParameterSpace((Parameter("k", "k", "N", (0.0, 9.0), "linear", 1.0, "stiffness", "a test"),))
+        none, like = np.full(1, np.nan), [x[:, None]] * count
+        base = Fitted((), space, np.ones(1), left, like, none, none, 0)
+        shapes = np.expm1(3 * x), x**3, np.sqrt(x), np.sin(3 * x), np.ones(40), np.tanh(5 * x)
+        probes = [
+            Probe(f"e{k}", np.zeros(1), (0,), np.ones(1), np.zeros((1, 1)), [one[:, None]] * count)
+            for k, one in enumerate(shapes)
+        ]
+        cases = curve_evidence([Curve(f"r{k}", stretch, x) for k in range(count)], ["fit"] * count)
+        test = permutation_test(cases.cases, base, probes, seed, least_cases=cases.search.chance_recordings)
+        return min(test.p_value(k) for k in range(len(probes)))
+
+    assert [smallest(1, seed) for seed in range(5)] == [1.0] * 5
+    assert np.mean([smallest(2, seed) < 0.05 for seed in range(60)]) < 0.15
+    (only, *_), asked = runs(0, lambda e: 0.05 * (np.exp(9 * e) - 1 - 9 * e)), "strain_locking"
+    found = verdict([only], asked)
+    assert not found["effects"]
+    assert found["candidates"][0]["why_not"].startswith("too few to tell")
 
 
 def test_the_spread_is_of_force_per_width():

@@ -61,21 +61,30 @@ class PermutationTest:
 
 
 def permutation_test(
-    cases: Sequence[Case], fitted: Fitted, found: Sequence[Probe], seed: int, least_own: float = 0.0
+    cases: Sequence[Case],
+    fitted: Fitted,
+    found: Sequence[Probe],
+    seed: int,
+    least_own: float = 0.0,
+    least_cases: int = 1,
 ) -> PermutationTest:
-    """The test of these probes beside the `fitted` base. least_own: as in `SearchSettings`."""
+    """The test of these probes beside the `fitted` base. least_own: as in `SearchSettings`; least_cases: of how many
+    recordings chance is told at least; of fewer nothing is told from it (p = 1).
+    """
     base = span_of(fitted.weighted_jacobian)
     spans = []
     for probe in found:
         columns = np.vstack(probe.columns) * fitted.weights[:, None]
         spans.append(span_of(columns - base @ (base.T @ columns), np.square(columns).sum(), least_own))
+    explained = explained_variance(base, spans, fitted.weighted_residual[None])[0]
+    if len(cases) < least_cases:
+        return PermutationTest(explained, np.full((LOOP.permutations, len(found)), np.inf))
     random = np.random.default_rng(seed)
     draws = [case.surrogates(r) for case, r in zip(cases, fitted.residual, strict=True)]
     null, count, batch = [], LOOP.permutations, LOOP.permutation_batch
     for first in range(0, count, batch):  # of long recordings, all would not fit into memory
         drawn = [np.concatenate([draw(random) for draw in draws]) for _ in range(first, min(first + batch, count))]
         null.append(explained_variance(base, spans, np.array(drawn) * fitted.weights))
-    explained = explained_variance(base, spans, fitted.weighted_residual[None])[0]
     return PermutationTest(explained, np.concatenate(null))
 
 

@@ -61,7 +61,8 @@ def one_round(
         account.count(count)
         found += more
     search = problem.evidence.search
-    test = permutation_test(problem.of_split("fit"), current, found, problem.seed, search.least_own)
+    known, least = problem.of_split("fit"), (search.least_own, search.chance_recordings)
+    test = permutation_test(known, current, found, problem.seed, *least)
     screened = screen(candidates, found, test, refused)
     tried: list[Candidate] = []
     promising = most_promising(screened, anew, promise)
@@ -141,8 +142,9 @@ def at_any_shape(problem: Problem, before: Fitted, name: str, probes: Sequence[P
         if all(np.isfinite(c).all() for c in change)
     ]
     mine = [*(p for p in probes if p.effect == name), *every]
-    least_own = problem.evidence.search.least_own
-    test = permutation_test(problem.of_split("fit"), before, mine, problem.seed, least_own)
+    search = problem.evidence.search
+    least = (search.least_own, search.chance_recordings)
+    test = permutation_test(problem.of_split("fit"), before, mine, problem.seed, *least)
     return test.p_alone(range(len(mine)))
 
 

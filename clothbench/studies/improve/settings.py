@@ -138,6 +138,7 @@ class SearchSettings:
     # Share of the squares of what a candidate changes that has to be its own, beside the base's sensitivities. Of a few
     # quantities all that is left has one direction, and the error of differences would explain as much as any effect.
     least_own: float = 0.0
+    chance_recordings: int = 1  # to fit, of which chance is told
     together: bool = (
         False  # several amounts of one effect may do the same: it is enough that they together are something
     )
