@@ -7,6 +7,7 @@ import pytest
 from clothbench_optimizers.iterative_least_squares import IterativeLeastSquares
 from clothbench_optimizers.least_squares import DAMPINGS, LeastSquares
 
+from clothbench.core.errors import ClothbenchError
 from clothbench.core.parameters import Parameter, ParameterSpace
 from clothbench.core.protocols import Evaluation
 from clothbench.estimation.search import drive
@@ -91,6 +92,13 @@ def test_beside_runs_that_are_lost_differences_go_to_the_other_side(name, lost):
     values = np.concatenate([found.value for _, found in drive(search, SPACE, evaluate)])
     assert np.nanmin(values) < 1e-9
     assert search.stopped == "converged"
+
+
+@pytest.mark.parametrize("budget", [10.0, 7.5, True, "10", 0])
+def test_a_budget_is_a_whole_number(budget):
+    for name in ("least_squares", "ga"):
+        with pytest.raises(ClothbenchError, match=f"{name}: budget is {budget!r}, expected a whole number, at least 1"):
+            catalogue().make("optimizers", name, SPACE, seed=0, budget=budget)
 
 
 @pytest.mark.parametrize("name", ["least_squares", "iterative_least_squares"])

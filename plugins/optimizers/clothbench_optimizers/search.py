@@ -21,8 +21,7 @@ class GeneratorSearch:
     start: np.ndarray | None = None
 
     def __init__(self, space: ParameterSpace, *, seed: int, budget: int):
-        if budget < 1:
-            raise ClothbenchError(f"optimizer: budget is {budget}, expected at least 1 evaluation")
+        check_whole(getattr(self, "name", "optimizer"), "budget", budget, 1)
         if len(space) == 0:
             raise ClothbenchError("optimizer: there is no parameter to search for")
         self.space, self.budget = space, budget
