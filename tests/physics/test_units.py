@@ -94,7 +94,7 @@ def test_mujocos_units_hold_but_for_bending_at_the_margins():
     for probe in (units.stretch, units.shear, units.fall):
         np.testing.assert_allclose(factors(Mujoco, probe), 1.0, rtol=5e-3)
     bending = np.array(factors(Mujoco, units.bending))
-    assert (np.abs(bending - 0.88) < 0.03).all()  # of a strip four cells wide; the same at both densities
+    assert (np.abs(bending - 0.835) < 0.02).all()  # of a strip four cells wide; the same at both densities
 
 
 def test_dampings_are_what_is_asked():
@@ -142,7 +142,7 @@ def test_newtons_hinges_are_no_rigidity_and_its_area_stiffness_no_lame_constant(
     np.testing.assert_allclose(asked, 1.0, rtol=5e-3)
     documented, asked = np.array(factors(Newton, units.bending)).T
     assert documented[0] / documented[2] > 8  # documented as N·m/rad, it is worth less the finer the mesh
-    np.testing.assert_allclose(asked[2:], 1.0, rtol=0.02)
+    np.testing.assert_allclose(asked[2:], 0.94, rtol=0.02)  # of 17 nodes
 
 
 # --- viscosity must not brake a fall --------------------------------------------------------------------------------

@@ -22,7 +22,7 @@ from clothbench.reference import mechanics as references
 from clothbench.studies.mechanics import measures, scenes
 
 MESHES, DENSITIES = (9, 17), (0.1, 0.3)  # nodes along the strip; kg/m²
-LOAD = 10.0  # Γ of the cantilever
+LOAD = 1.0  # Γ of the cantilever: with 10 a coarse mesh turns by so much at a node that its sine tells
 HANGING, SLIDING, FALLING = 0.3, 0.2, 0.3  # m, length of a hanging strip and width of a sliding one; s of fall
 STRAIN = 0.005  # of the hanging strip at its upper edge, and of the sliding one at its sides
 LIMP = 1e-4  # N·m, of strips that are stretched: so stiff that they stay flat
@@ -69,7 +69,7 @@ class Probe:
 
 
 def bending(along: int, density: float) -> Probe:
-    """A cantilever whose Γ is 10: the moments of its weight over its curvatures, wherever a model's clamp begins."""
+    """A cantilever whose Γ is 1: the moments of its weight over its curvatures, wherever a model's clamp begins."""
     rigidity = 1e-4 * density / scenes.DENSITY
     length = scenes.tip_length(1e-4, LOAD)
     scene = dataclasses.replace(scenes.clamped(length, along, LOAD), areal_density=density)
