@@ -194,6 +194,33 @@ def test_the_loop_looks_at_the_way_up_in_equal_steps_that_all_runs_share():
     assert np.ptp(force) == pytest.approx(4.0)
 
 
+def cycled(name: str, seed: int, split: str) -> Curve:
+    """A linear sample, 20 N, pulled three times, each a little farther; it comes back below the way that it went."""
+    strain, parts = np.linspace(0, 0.2, 200), []
+    for top in (1.0, 1.0005, 1.001):
+        parts += [(strain * top, 20 * strain), (strain[::-1] * top, 4 * (strain[::-1] / 0.2) ** 2.5)]
+    stretch, force = 1 + np.concatenate([s for s, _ in parts]), np.concatenate([f for _, f in parts])
+    force = force + np.random.default_rng(seed).normal(0, 0.02, len(force))
+    return Curve(name, stretch, force, "knit", "wale", noise_sigma=0.02, motion="cycles", split=split)
+
+
+def test_of_cycles_only_the_last_way_up_counts():
+    curves = [cycled(f"run{n}", n, "held_out" if n == 3 else "fit") for n in range(4)]
+    stretch, force = loading(curves[0])
+    assert len(stretch) == 201  # with the one at which it turns
+    np.testing.assert_allclose(force, 20 * (stretch - 1), atol=0.1)
+    found = verdict(curves)
+    assert (found["verdict"], found["effects"]) == ("complete", [])
+
+
+def test_a_curve_of_the_way_back_alone_is_refused_as_what_it_is():
+    first, *others = runs(7, lambda e: 0 * e)
+    back = replace(first, stretch=first.stretch[::-1], force=first.force[::-1])
+    for curves in ([back, *others], [*others, replace(back, split="held_out")]):
+        with pytest.raises(ClothbenchError, match=r"run0: variable 'stretch': found its largest.* no rise to it"):
+            verdict(curves)
+
+
 def test_surrogates_keep_what_a_residual_is_made_of():
     curve = runs(6, lambda e: 0 * e)[0]
     case = CurveCase("c", "fit", curve, observed(curve, common_steps([curve]), 0.1))

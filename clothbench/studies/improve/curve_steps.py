@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from clothbench.core.errors import ClothbenchError
-from clothbench.recordings.curve import Curve
+from clothbench.recordings.curve import LEAST, Curve, last_rise
 
 STEPS = 60  # of the common range of stretch, where the recordings have samples enough
 HOLE = 3  # steps from one with a sample to the next, beyond which nothing is told in between
@@ -32,9 +32,18 @@ class CurveObservation:
 
 
 def loading(curve: Curve) -> tuple[np.ndarray, np.ndarray]:
-    """Stretch and force (M,) of the samples up to the largest stretch: the way back is another curve."""
-    last = int(np.argmax(curve.stretch)) + 1
-    return curve.stretch[:last], curve.force[:last]
+    """Stretch and force (M,) of the samples of the last rise to the largest stretch: each way back is another curve, and
+    so is what came before it.
+    """
+    up = last_rise(curve.stretch)
+    stretch = curve.stretch[up]
+    if np.ptp(stretch) < LEAST:
+        raise ClothbenchError(
+            f"{curve.path or curve.name}: variable 'stretch': found its largest, {stretch[-1]:.4g}, at sample "
+            f"{up.stop - 1}, and no rise to it, expected the way up; give the samples in the order of the measurement, "
+            "or leave the recording out"
+        )
+    return stretch, curve.force[up]
 
 
 def common_steps(curves: Sequence[Curve]) -> np.ndarray:
