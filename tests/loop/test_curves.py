@@ -11,7 +11,7 @@ from clothbench import ClothbenchError, Curve
 from clothbench.engine.checkpoint import Checkpoint
 from clothbench.plugins.discovery import catalogue
 from clothbench.studies.improve.candidates import candidates_of
-from clothbench.studies.improve.curve_steps import common_steps, loading, observed
+from clothbench.studies.improve.curve_steps import common_steps, loading, observed, variance_of_median
 from clothbench.studies.improve.curves import CurveCase, curve_evidence
 from clothbench.studies.improve.document import verdict_document
 from clothbench.studies.improve.fitting import fit
@@ -164,6 +164,24 @@ def test_a_step_of_stretch_that_no_run_has_a_sample_in_says_nothing_about_the_sp
     evidence = curve_evidence(logged, [c.split for c in logged])
     assert not np.any([case.observation.visible for case in evidence.cases], axis=0).all()
     assert 0.5 < evidence.noise() / curve_evidence(curves, [c.split for c in curves]).noise() < 2
+
+
+def locking(samples: int, split: str) -> Curve:
+    """It locks by far less than the load cell's 0.5 N scatter from sample to sample."""
+    strain = np.linspace(0, 0.3, samples)
+    force = 10 * strain + 0.02 * (np.expm1(15 * strain) - 15 * strain)
+    noise = np.random.default_rng(samples).normal(0, 0.5, samples)
+    return Curve(split, 1 + strain, force + noise, noise_sigma=0.5, split=split)
+
+
+def test_the_noise_that_a_single_run_states_is_that_of_a_sample_and_its_steps_are_medians_of_many():
+    few, many = (curve_evidence([locking(n, "fit")], ["fit"]).noise() for n in (60, 6000))
+    assert many == pytest.approx(0.5 * np.sqrt(np.pi / 200), rel=0.02)  # a hundred in each of sixty steps
+    assert few == pytest.approx(0.5 * np.sqrt(0.4487), rel=0.05)  # three in each of twenty
+    samples = np.random.default_rng(0).normal(size=(10**5, 20))
+    for n in (1, 2, 3, 4, 5, 8, 13, 20):
+        assert variance_of_median(np.array(n)) == pytest.approx(np.var(np.median(samples[:, :n], axis=1)), rel=0.05)
+    assert verdict([locking(6000, "fit"), locking(6001, "held_out")])["verdict"] != "complete"
 
 
 def test_a_hole_in_one_run_is_no_spread_between_runs():
