@@ -26,6 +26,7 @@ import numpy as np
 from clothbench.core.errors import ClothbenchError
 from clothbench.recordings.codec import freeze, hash_of, read, write
 from clothbench.recordings.layout import SPLITS, Layout, Variable
+from clothbench.recordings.rig import check_numbers
 
 LAYOUT = Layout(
     kind="curve",
@@ -42,6 +43,8 @@ FEWEST = 8  # samples; fewer make no curve
 BEGINS = (0.8, 1.5)  # where the smallest stretch lies: a ratio to the unloaded distance, no strain and no millimetres
 LONGEST = 20.0  # the stretch that no cloth survives
 LEAST = 1e-3  # of stretch, by which a curve changes
+LARGEST = 2.0  # m, of what a testing machine pulls
+STRONGEST = 1e6  # N, and N for each metre of width: several times what a fabric of carbon bears
 FALL, SCATTER = 0.05, 8.0  # of the range of stretch, and standard deviations of noise in it, that are no way back
 
 
@@ -126,6 +129,11 @@ def _check_values(c: Curve, where: str) -> None:
             )
     if not np.ptp(c.force) > 0:
         raise ClothbenchError(f"{where}: variable 'force': found {c.force[0]:g} N in every sample, expected a curve")
+    if (most := float(np.abs(c.force).max())) > STRONGEST:
+        raise ClothbenchError(
+            f"{where}: variable 'force': found {most:g} N, expected newtons, {STRONGEST:g} at most; are these in "
+            "another unit?"
+        )
 
 
 def _check_stretch(stretch: np.ndarray, where: str) -> None:
@@ -142,6 +150,7 @@ def _check_stretch(stretch: np.ndarray, where: str) -> None:
 
 
 def _check_stated(c: Curve, where: str) -> None:
+    check_numbers(c, LAYOUT.numbers, where)
     if not c.name:
         raise ClothbenchError(f"{where}: attribute 'name': found nothing, expected the recording's name")
     if c.direction not in DIRECTIONS:
@@ -151,10 +160,25 @@ def _check_stated(c: Curve, where: str) -> None:
         raise ClothbenchError(
             f"{where}: attribute 'noise_sigma': found {c.noise_sigma}, expected newtons, 0 or above, or NaN"
         )
+    if c.noise_sigma > (whole := float(np.ptp(c.force))):
+        raise ClothbenchError(
+            f"{where}: attribute 'noise_sigma': found {c.noise_sigma:g} N where forces differ by {whole:g} N in all, "
+            "expected less, as the noise of a sample is; is it in another unit?"
+        )
     for name in ("sample_width", "sample_length"):
         value = getattr(c, name)
         if value <= 0 or math.isinf(value):
             raise ClothbenchError(f"{where}: attribute '{name}': found {value}, expected metres above 0, or NaN")
+        if value > LARGEST:
+            raise ClothbenchError(
+                f"{where}: attribute '{name}': found {value:g} m, expected {LARGEST:g} m at most, or NaN; are these "
+                "millimetres?"
+            )
+    if (tension := float(np.abs(c.force).max()) / c.sample_width) > STRONGEST:
+        raise ClothbenchError(
+            f"{where}: variable 'force': found {tension:g} N for each metre of the sample's width, {c.sample_width:g} "
+            f"m, expected {STRONGEST:g} at most; is either in another unit?"
+        )
     if c.split not in SPLITS:
         raise ClothbenchError(f"{where}: attribute 'split': found {c.split!r}, expected 'fit', 'held_out' or ''")
 

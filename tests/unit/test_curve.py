@@ -50,6 +50,20 @@ def test_both_kinds_are_told_apart(recording, tmp_path):
         (lambda f: setattr(f, "direction", "X"), "attribute 'direction': found 'X', expected one of 'warp'"),
         (lambda f: setattr(f, "noise_sigma", -1.0), "attribute 'noise_sigma': found -1.0"),
         (lambda f: setattr(f, "sample_width", 0.0), "attribute 'sample_width': found 0.0, expected metres above 0"),
+        (
+            lambda f: setattr(f, "sample_width", 50.0),
+            "'sample_width': found 50 m, expected 2 m at most, or NaN; are these",
+        ),
+        (lambda f: setattr(f, "sample_length", 20.0), "attribute 'sample_length': found 20 m, expected 2 m at most"),
+        (lambda f: setattr(f, "noise_sigma", 1e6), "'noise_sigma': found 1e+06 N where forces differ by 5 N in all"),
+        (
+            lambda f: f["force"].__setitem__(slice(None), 2e8 * np.linspace(0, 1, 40)),
+            "'force': found 2e+08 N, expected",
+        ),
+        (
+            lambda f: (f["force"].__setitem__(3, 4e5), setattr(f, "sample_width", 0.05)),
+            "found 8e+06 N for each metre of",
+        ),
         (lambda f: setattr(f, "sample_length", "long"), "attribute 'sample_length': found 'long', expected a number"),
         (lambda f: setattr(f, "name", ""), "attribute 'name': found nothing"),
         (lambda f: setattr(f, "split", "train"), "attribute 'split': found 'train'"),
@@ -70,6 +84,11 @@ def test_every_fault_is_one_line_with_file_and_field(tmp_path, change, found):
     assert str(caught.value).startswith(f"{path}: ")
     assert found in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_what_is_no_number_is_refused():
+    with pytest.raises(ClothbenchError, match="attribute 'noise_sigma': found 'x', expected a number"):
+        pulled(noise_sigma="x")
 
 
 def test_arrays_that_do_not_belong_together_are_refused():
