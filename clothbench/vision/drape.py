@@ -116,8 +116,8 @@ def smoothed(radius: np.ndarray) -> np.ndarray:
 
 
 def _heights(radius: np.ndarray) -> np.ndarray:
-    """Outlines (..., K) m, each angle's of a parabola through what lies within `CREST` of it: what changes from pixel to
-    pixel is halved, and of twelve folds 0.1 % is taken away.
+    """Outlines (..., K) m, at each angle that of a parabola through what lies within `CREST` of it: what changes from
+    pixel to pixel is halved, and of twelve folds 0.1 % is taken away.
     """
     from scipy.signal import savgol_filter
 
