@@ -44,6 +44,11 @@ def test_the_stretch_of_one_fabric_lies_between_its_threads_and_says_so():
     warp, weft = map(float, re.findall(r"(\d+) along", stretch.source))
     assert stretch.low < warp < weft < stretch.high
     assert stretch.value == pytest.approx(math.sqrt(warp * weft), rel=5e-3)
+    each = [presets()["denim"].numbers[f"stretch_{thread}"] for thread in ("warp", "weft")]
+    assert [one.value for one in each] == [warp, weft]
+    assert all("the first direction is taken for the warp" in one.source for one in each)
+    assert presets()["denim"].material.stretch_ratio == pytest.approx(warp / weft)
+    assert presets()["knit"].material.stretch_ratio == 1.0  # several fabrics, whose threads are not told apart
 
 
 def test_a_fabric_bends_under_its_own_weight_not_under_that_of_the_one_beside_it():
