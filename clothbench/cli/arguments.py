@@ -36,7 +36,7 @@ def parser() -> Reader:
     from clothbench import __version__
 
     out.add_argument("--version", action="version", version=f"clothbench {__version__}")
-    out.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    out.add_argument("--debug", action="store_true", help="show the traceback of an error, too")
     commands = out.add_subparsers(metavar="COMMAND", required=True)
     commands.add_parser(
         "run", help="run a suite, a sweep or one cell (Hydra overrides; `run --help` shows all settings)"

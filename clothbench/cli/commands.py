@@ -8,6 +8,7 @@ import json
 import os
 import shlex
 import sys
+import traceback
 from collections.abc import Callable, Mapping, Sequence
 from io import TextIOWrapper
 from pathlib import Path
@@ -49,20 +50,21 @@ def _main(argv: Sequence[str] | None) -> int:
         options = parsed(arguments)
         return flushed(COMMANDS[options.command](options))
     except ClothbenchError as fault:
-        if debug:
-            raise
-        print(f"clothbench: {fault}", file=sys.stderr)
-        return 2
+        return refused(str(fault), debug)
     except OSError as fault:
-        if debug:
-            raise
-        line = one_line(f"{fault.filename or 'a file'}: {fault.strerror or fault}")
-        print(f"clothbench: {line}", file=sys.stderr)
-        return 2
+        return refused(one_line(f"{fault.filename or 'a file'}: {fault.strerror or fault}"), debug)
     except KeyboardInterrupt:
         kept = "; what is finished is kept, run the same command again to go on" if set(arguments[:1]) & KEEP else ""
         print(f"clothbench: stopped{kept}", file=sys.stderr)
         return 130
+
+
+def refused(line: str, debug: bool) -> int:
+    """Say what is wrong, below its traceback where that was asked for, which changes no exit code; returns it."""
+    if debug:
+        traceback.print_exc()
+    print(f"clothbench: {line}", file=sys.stderr)
+    return 2
 
 
 def flushed(code: int) -> int:

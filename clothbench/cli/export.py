@@ -58,7 +58,7 @@ def export(name: str, target: str, results: Path, out: Path | None, recordings: 
     cannot = list(written.cannot)
     if cannot and fit is not None:
         cannot.append(altogether(fit, written.material or twin.isotropic(target)[0]))
-    with whole_file(path) as part:
+    with whole_file(path, asked=True) as part:
         part.write_text(written.text, encoding="utf-8")
     print(f"{path}: {twin.name}, for {target}")
     for line in cannot:

@@ -45,6 +45,16 @@ def say_alone(config: Mapping[str, Any], cells: Sequence[Cell]) -> None:
         )
 
 
+def say_split(cells: Sequence[Any]) -> None:
+    """A line on what the seed holds out, for each case of `improve` in which no recording states a split."""
+    drawn = [cell for cell in cells if getattr(cell, "split_by_seed", False)]
+    several = len({cell.case for cell in drawn}) > 1
+    for case, cell in {cell.case: cell for cell in drawn}.items():
+        held = ", ".join(s.name for s in cell.of_split("held_out")) or "none"
+        where = f"{case}: " if several else ""
+        print(f"clothbench: {where}no recording states a split; held out by seed {cell.seed}: {held}", file=sys.stderr)
+
+
 def _say(setting: str, why: str) -> None:
     print(f"clothbench: {setting}: {why}, so this changes nothing", file=sys.stderr)
 

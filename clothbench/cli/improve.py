@@ -15,7 +15,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from clothbench.cli.idle import say_idle
+from clothbench.cli.idle import say_idle, say_split
 from clothbench.cli.run import composed
 from clothbench.core.create_only import require_create_only
 from clothbench.core.errors import ClothbenchError
@@ -75,6 +75,7 @@ def command(words: Sequence[str], as_json: bool = False) -> int:
     say_idle(words, cells, settings)
     for remark in remarks(cells[0], plugins, all_tried=settings["suite"]["candidates"] is None):
         print(f"clothbench: {remark}", file=sys.stderr)
+    say_split(cells)
     with workers_of(executor, settings["jobs"], out, [cell for cell in cells if not store.has(cell.key)]) as elsewhere:
         for cell in cells:
             judge(cell, store, out, settings["rerun"], cell.model if len(cells) > 1 else "", elsewhere)
@@ -153,16 +154,13 @@ def models_of(value: str) -> list[str]:
 
 
 def remarks(cell: ImproveCell, plugins: Catalogue, all_tried: bool) -> list[str]:
-    """What the user may not have meant: effects that cannot be tried, too few recordings, a split that no recording
-    states, several fabrics for one cloth.
+    """What the user may not have meant: effects that cannot be tried, too few recordings, several fabrics for one
+    cloth.
     """
     out = [f"no candidate: {reason}" for reason in (unusable(plugins) if all_tried else ())]
     fitted, least = len(cell.of_split("fit")), LOOP.least_recordings
     if fitted < least and cell.kind != "silhouette":  # of which each holds several specimens
         out.append(f"{fitted} recordings to fit; an effect can be named from {least} on")
-    if cell.split_by_seed:
-        held = ", ".join(s.name for s in cell.of_split("held_out")) or "none"
-        out.append(f"no recording states a split; held out by seed {cell.seed}: {held}")
     if len(fabrics := sorted({stated_in(Path(source.file), "fabric") for source in cell.recordings} - {""})) > 1:
         out.append(f"{', '.join(fabrics)} are taken for one cloth; run +suite=improve suite.case=fabric asks of each")
     return out

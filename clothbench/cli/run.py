@@ -34,7 +34,7 @@ from hydra.types import RunMode
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from clothbench.cli.idle import refuse_idle, say_alone, say_idle
+from clothbench.cli.idle import refuse_idle, say_alone, say_idle, say_split
 from clothbench.cli.own_suites import each_choice, require_harmless, settings_among, where_searched
 from clothbench.cli.results import print_results
 from clothbench.cli.settings_help import settings_help
@@ -316,6 +316,7 @@ def _run(config: Any, sweep: Sweep | None, words: Sequence[str] = ()) -> dict[st
         refuse_idle(words, config, cells)
         say_idle(words, cells, config)
         say_alone(config, cells)
+    say_split(cells)
     out = Path(config["out"])
     with CellBar(cells, sweep) as bar:
         run_cells(

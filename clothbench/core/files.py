@@ -225,9 +225,19 @@ def _array(file: BinaryIO, size: int) -> np.ndarray:
 
 
 @contextmanager
-def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """A temporary file beside `path` to write to; it takes the place of `path` when the block ends without a fault."""
-    path = Path(path)
+def whole_file(path: str | os.PathLike[str], asked: bool = False) -> Iterator[Path]:
+    """A temporary file beside `path` to write to; it takes the place of `path` when the block ends without a fault.
+
+    asked: whether somebody asked for this very name. Where it is a link, what that leads to is written; any other link,
+    which may lie in a folder that a stranger has packed, makes way. What is there and is no file, such as a device or a
+    pipe, is a ClothbenchError.
+    """
+    link = os.path.islink(path)
+    path = Path(os.path.realpath(path) if asked and link else path)
+    if os.path.exists(path) and not (os.path.isfile(path) or os.path.isdir(path)) and (asked or not link):
+        raise ClothbenchError(
+            f"{path}: found a device, pipe or socket, expected a file, or none yet; give another name"
+        )
     with placing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")

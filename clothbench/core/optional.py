@@ -28,8 +28,8 @@ from clothbench.core.protocols import Material, Model, Objective, Stated
 from clothbench.core.rollout import Rollout
 from clothbench.core.scene import Scene
 
-# Of recordings that a sheet can be tracked in.
-TRACKED_KINDS = frozenset({"nodes", "points", "depth", "video", "silhouette"})
+# Of recordings that a tracker can read; in all but "laser" it finds a sheet, there a line on a strip.
+TRACKED_KINDS = frozenset({"nodes", "points", "depth", "video", "silhouette", "laser"})
 MODEL_KINDS = ("explicit", "implicit", "static", "")
 FORCE_LAWS = ("normal velocity squared", "normal acceleration", "past normal velocity", "mass along the lower edge")
 EFFECT_FAMILIES = (
@@ -469,7 +469,7 @@ class ShowsSteps(Protocol):
 @runtime_checkable
 class ReadsKinds(Protocol):
     """kinds: of recordings that a tracker reads, or that a metric compares with, where they are not sheets of points
-    that are known again: "nodes", "points", "depth", "video", "silhouette". Without it: "nodes".
+    that are known again: "nodes", "points", "depth", "video", "silhouette", "laser". Without it: "nodes".
     """
 
     kinds: frozenset[str]

@@ -20,8 +20,9 @@ class Parameter:
     name: identifier, unique in its space; symbol: as the papers write it; unit: SI, "1" if none;
     bounds: (low, high) in that unit; scale: how a search should walk, "linear" or "log";
     default: value used when nothing is calibrated; meaning: one line; source: paper and equation;
-    null: for an effect's parameter, the value at which its share of the effect vanishes exactly; for a model's, the
-    value at which a part of its physics that it could do without is switched off (`improve` begins without it).
+    null: of an effect's parameter, a value at which the effect vanishes exactly, where all that have one are at it; of
+    a model's, the value at which a part of its physics that it could do without is switched off (`improve` begins
+    without it).
     """
 
     name: str

@@ -143,7 +143,8 @@ class Model(Protocol):
 
 @runtime_checkable
 class Effect(Protocol):
-    """Physics a model may lack, in one of three places. At its parameters' null values it vanishes, to the bit.
+    """Physics a model may lack, in one of three places. At least one parameter has a null value, and where all
+    that have one are at it, the effect vanishes to the bit, whatever the others are.
 
     place "dynamics": has `force` and/or `inertia`, compiled with `clothbench.effect_kernel`:
         force(t, dt, x, v, f, sheet, p, state)       adds nodal forces [N] to f (3, n)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from math import isfinite
 from typing import Any
 
 from clothbench.display.html import below, group, interval, table, text, unit
@@ -45,6 +46,18 @@ def _line(row: dict[str, Any], values: dict[str, dict[str, Any]], columns: Seque
     names = [text(row["case"]), text(row["optimizer"]), text(row["seed"])]
     found = [fitted_value(values[name]) if name in values else "–" for name in columns]
     return [*names, *found, f"<code>{text(row['key'][:8])}</code>"]
+
+
+def condition_said(found: Sequence[float]) -> str:
+    """How freely the parameters of one fit, or of several, move together; "" where no condition is known."""
+    if not found:
+        return ""
+    ends = [f"{end:.2g}" if isfinite(end) else "infinite" for end in (min(found), max(found))]
+    fits = "fits" if len(found) > 1 else "fit"
+    return (
+        f"Condition of the {fits}: {' … '.join(dict.fromkeys(ends))}; above a thousand some of the parameters move "
+        "together freely."
+    )
 
 
 def fitted_value(p: dict[str, Any]) -> str:

@@ -6,7 +6,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from rich.console import Console
 from rich.progress import (
@@ -23,17 +23,19 @@ from clothbench.core.progress import FileProgress
 from clothbench.display.names import duration
 from clothbench.engine.study import Cell
 
+Moment = tuple[float, float]  # s of `time.monotonic()`, and how much was done then
+
 
 @dataclass
 class Sweep:
     """Where a sweep stands. jobs: how many there are, 0 if that is not known; done: of those that had something to run;
-    passed: of those that were begun, this one included; began: s of `time.monotonic()`.
+    passed: of those that were begun, this one included; first: as of `left_at`.
     """
 
     jobs: int = 0
     done: int = 0
     passed: int = 0
-    began: float = field(default_factory=time.monotonic)
+    first: Moment | None = None
 
     @property
     def name(self) -> str:
@@ -42,10 +44,18 @@ class Sweep:
 
     def left(self, share: float) -> float | None:
         """Seconds until its end, with such a share of this job done; None if nobody can know."""
-        if not self.jobs or self.done + share <= 0:
+        if not self.jobs:
             return None
-        rest = self.jobs - self.passed + 1 - share
-        return (time.monotonic() - self.began) * rest / (self.done + share)
+        self.first = self.first or (time.monotonic(), self.done + share)
+        return left_at(self.first, self.done + share, self.jobs - self.passed + 1 - share)
+
+
+def left_at(first: Moment, done: float, rest: float) -> float | None:
+    """Seconds for the rest at the pace since the first word of how far it is; None before the second. What came before
+    the first tells nothing of the rest: kernels are compiled then, once for all cells.
+    """
+    began, before = first
+    return (time.monotonic() - began) * rest / (done - before) if done > before else None
 
 
 class CellBar:
@@ -56,7 +66,7 @@ class CellBar:
 
     def __init__(self, cells: Sequence[Cell], sweep: Sweep | None = None):
         self.total, self.count, self.kept, self.sweep = len(cells), 0, 0, sweep
-        self.began = time.monotonic()
+        self.first: Moment | None = None
         self.shares: dict[str, float] = {}  # of each cell at work, how much of it is done
         self.rows: dict[str, TaskID] = {}
         console = Console(stderr=True)
@@ -111,11 +121,12 @@ class CellBar:
     def _left(self) -> str:
         """ "about 4 min 10 s left": of the sweep, or of this run."""
         asked = self.total - self.kept
-        share = (self.count - self.kept + sum(self.shares.values())) / asked if asked else 1.0
+        done = self.count - self.kept + sum(self.shares.values())
         if self.sweep:
-            rest = self.sweep.left(share)
+            rest = self.sweep.left(done / asked if asked else 1.0)
         else:
-            rest = (time.monotonic() - self.began) * (1 - share) / share if share > 0 else None
+            self.first = self.first or (time.monotonic(), done)
+            rest = left_at(self.first, done, asked - done)
         return f"about {duration(rest)} left" if rest else ""
 
 

@@ -27,7 +27,7 @@ DASHES = ("solid", "dash", "dot", "dashdot")
 
 def write_page(path: Path, entries: Sequence[Entry], series: Sequence[Series]) -> Path:
     """Write the page, whole or not at all; returns its path."""
-    with whole_file(path) as part:
+    with whole_file(path, asked=True) as part:
         part.write_text(page_html(entries, series), encoding="utf-8")
     return path
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+AT_CLAMP = np.sqrt(2.0)  # times the curvature where cloth leaves a clamp, see `curvature_weights`
+
 
 def grid_triangles(shape: tuple[int, int]) -> np.ndarray:
     """Triangles (F, 3) of a regular grid (nu, nv), node number j·nu + i; two a cell, all diagonals i, j → i+1, j+1.
@@ -20,7 +22,11 @@ def grid_triangles(shape: tuple[int, int]) -> np.ndarray:
 
 
 def triangle_slots(
-    uv: np.ndarray, triangles: np.ndarray, face_area: np.ndarray, whole: bool = True
+    uv: np.ndarray,
+    triangles: np.ndarray,
+    face_area: np.ndarray,
+    whole: bool = True,
+    clamped: np.ndarray | None = None,
 ) -> tuple[int, np.ndarray, np.ndarray]:
     """How compiled loops go over all triangles at once: `columns`, `spacing` and `slots` of a sheet.
 
@@ -33,9 +39,9 @@ def triangle_slots(
     for loops that run through x, y and z; else (2, 0).
     slots: (4, S), area of cloth m², 0 where a row ends; and weights. Of a grid they are what makes ∂²/∂u², ∂²/∂v² and
     ∂²/∂u∂v as `curvature_weights` sees them of differences of first derivatives, 1/m, 0 where nothing holds the slope;
-    else 1.
+    else 1. clamped: (F,), see `clamped_triangles`.
     """
-    columns = _grid_columns(uv, triangles) if whole else 0
+    columns = grid_columns(uv, triangles) if whole else 0
     if columns == 0:
         return 0, np.zeros((2, 0)), np.vstack([face_area[None], np.ones((3, len(face_area)))])
     u, v = uv[:columns, 0], uv[::columns, 1]
@@ -45,11 +51,29 @@ def triangle_slots(
     cells[1, 0, :, :-2], cells[1, 1, :, 1:] = spacing[0, 1:, :-2], spacing[0, 1:, 1:]
     cells[2, 0, 1:], cells[2, 1, :-1] = spacing[1, 1:-1], spacing[1, :-2]
     cells[3] = spacing[1, :-1]
+    if clamped is not None and clamped.any():
+        _stiffen_clamps(cells, clamped.reshape(len(v) - 1, columns - 1, 2).all(axis=2))
     slots = cells.reshape(4, 2, -1)[:, :, :-1].reshape(4, -1)
     return columns, np.tile(spacing.reshape(2, -1), 3), np.ascontiguousarray(slots)
 
 
-def _grid_columns(uv: np.ndarray, triangles: np.ndarray) -> int:
+def _stiffen_clamps(cells: np.ndarray, clamped: np.ndarray) -> None:
+    """What clamped cells (nv − 1, nu − 1) make of the weights of slots (4, 2, nv − 1, nu), as `curvature_weights`."""
+    beyond = np.pad(clamped, 1, mode="edge")
+    right, left, above, below = beyond[1:-1, 2:], beyond[1:-1, :-2], beyond[:-2, 1:-1], beyond[2:, 1:-1]
+    for component, kind, neighbour in ((1, 0, right), (1, 1, left), (2, 0, above), (2, 1, below)):
+        cells[component, kind, :, :-1] *= np.where(clamped != neighbour, AT_CLAMP, 1.0)
+
+
+def clamped_triangles(triangles: np.ndarray, held: np.ndarray, cloth: np.ndarray, columns: int) -> np.ndarray:
+    """Which triangles (F,) lie between grips: all three corners are `held` (G,), and there is `cloth` (F,) m² in them;
+    on a grid (of so many columns, 0: no grid) both triangles of a cell.
+    """
+    clamped = np.isin(triangles, held).all(axis=1) & (cloth > 0)
+    return np.repeat(clamped.reshape(-1, 2).all(axis=1), 2) if columns else clamped
+
+
+def grid_columns(uv: np.ndarray, triangles: np.ndarray) -> int:
     """nu of a grid of straight lines u, v that ascend, node number j·nu + i, with the triangles of `grid_triangles`."""
     columns = int(triangles[0, 2]) - 1 if len(triangles) else 0
     if columns < 2 or len(uv) % columns or len(uv) < 2 * columns:
@@ -71,7 +95,11 @@ def gradient_weights(uv: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray,
 
 
 def curvature_weights(
-    uv: np.ndarray, triangles: np.ndarray, gradient: np.ndarray, face_area: np.ndarray
+    uv: np.ndarray,
+    triangles: np.ndarray,
+    gradient: np.ndarray,
+    face_area: np.ndarray,
+    clamped: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Patches (F, 6) and the second derivatives (F, 3, 6) 1/m² over each triangle, from its three neighbours.
 
@@ -80,6 +108,11 @@ def curvature_weights(
     of both sides (the rotation-free triangle of Oñate and Zárate 2000, there called BST). Exact for quadratic shapes
     on a regular mesh. At a free edge nothing holds the slope: the bending across it is what costs least, which
     without cross contraction is none, n·κ·n = 0.
+
+    clamped: (F,), triangles in a clamp, None for none. Where the cloth leaves a clamp its slope turns from the edge on,
+    over half the way between the middles of two triangles: twice the curvature over half the area. The two triangles at
+    that edge have √2 times the curvature across it, which costs as much; as between others, the cloth would begin to
+    turn half a triangle inside the clamp.
     """
     beyond, far = _neighbours(triangles)
     rows = np.arange(len(triangles))
@@ -103,11 +136,19 @@ def curvature_weights(
             jump[rows, place] += slope[:, m]
         share = np.where(beyond[:, k : k + 1] < 0, 0.0, length / (2 * face_area[:, None]))
         weights += normals[:, k, :, None] * (share * jump)[:, None]
+    if clamped is not None and clamped.any():
+        at_edge = (beyond >= 0) & (clamped[beyond] != clamped[:, None])
+        for f in np.flatnonzero(at_edge.any(axis=1)):
+            weights[f] += (AT_CLAMP - 1) * _across(normals[f, at_edge[f]], weights[f])
     for f in np.flatnonzero((beyond < 0).any(axis=1)):
-        span = normals[f, beyond[f] < 0].T
-        weights[f] -= span @ np.linalg.lstsq(span, weights[f], rcond=None)[0]
+        weights[f] -= _across(normals[f, beyond[f] < 0], weights[f])
     weights[:, 2] /= np.sqrt(2.0)
     return np.ascontiguousarray(patch), np.ascontiguousarray(weights)
+
+
+def _across(normals: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """The part of a curvature, as weights (3, 6), that lies across edges of these normals ⊗ themselves (K, 3)."""
+    return np.asarray(normals.T @ np.linalg.lstsq(normals.T, weights, rcond=None)[0])
 
 
 def _neighbours(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

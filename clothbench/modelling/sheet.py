@@ -8,7 +8,13 @@ import numpy as np
 from numba import types
 
 from clothbench.core.kernels import bundle_type, lean_kernel
-from clothbench.modelling.mesh import curvature_weights, gradient_weights, triangle_slots
+from clothbench.modelling.mesh import (
+    clamped_triangles,
+    curvature_weights,
+    gradient_weights,
+    grid_columns,
+    triangle_slots,
+)
 
 Sheet = namedtuple(
     "Sheet",
@@ -71,12 +77,14 @@ def sheet_of(
     where it writes: `own_sheet(sheet)`.
     """
     gradient, face_area = gradient_weights(uv, triangles)
-    patch, curvature = curvature_weights(uv, triangles, gradient, face_area)
     cloth = face_area if share is None else face_area * share
     if whole is None:  # loops over a grid take normals as if none of its cells were cut
         whole = share is None or bool((share > 1 - WHOLE).all())
-    columns, spacing, slots = triangle_slots(uv, triangles, cloth, whole)
     never = np.concatenate([np.array(held, dtype=np.int64), np.array(still, dtype=np.int64)])
+    # Of grips only: the rim of a disc that clamps is no line of the mesh, and how far it holds allows for that.
+    clamped = clamped_triangles(triangles, never[: len(held)], cloth, grid_columns(uv, triangles) if whole else 0)
+    patch, curvature = curvature_weights(uv, triangles, gradient, face_area, clamped)
+    columns, spacing, slots = triangle_slots(uv, triangles, cloth, whole, clamped)
     return Sheet(
         np.ascontiguousarray(uv, dtype=float), np.array(mass, dtype=float), np.array(area, dtype=float),
         np.zeros((3, len(uv))), np.ascontiguousarray(triangles, dtype=np.int64), gradient, cloth, patch, curvature,

@@ -87,7 +87,7 @@ def write(record: Any, path: str | os.PathLike[str], layout: Layout) -> Path:
         for n in arrays
         if tables[n].level is not None
     }
-    with whole_file(path) as part:
+    with whole_file(path, asked=True) as part:
         xr.Dataset(variables, attrs=stated).to_netcdf(part, engine="h5netcdf", encoding=encoding)
     return path
 

@@ -20,6 +20,7 @@ height], `camera_matrix`, `camera_rotation`, `camera_translation` [m], `camera_d
 
 from __future__ import annotations
 
+import math
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,7 +33,7 @@ from clothbench.core.errors import ClothbenchError
 from clothbench.recordings.codec import read, write
 from clothbench.recordings.layout import Arrays, Layout, Part, Stated, Variable
 from clothbench.recordings.nodes import LAYOUT as NODES
-from clothbench.recordings.nodes_rules import check_clock, check_gravity, check_pace, check_sides
+from clothbench.recordings.nodes_rules import APART, check_clock, check_gravity, check_pace, check_sides
 from clothbench.recordings.rig import (
     FOR_NODES,
     GRIPS,
@@ -173,6 +174,20 @@ def _check(r: DepthImages, where: str) -> None:
     if r.colour is not None:
         _check_colour(r, r.colour, where)
     check_grips(r, where)
+    if r.grips is not None:
+        _check_in_reach(r, r.grips.position, where)
+
+
+def _check_in_reach(r: DepthImages, grips: np.ndarray, where: str) -> None:
+    """Grips (K, G, 3) m are near what the camera saw, or either of them stands in another unit, or another world."""
+    across, farthest = math.hypot(r.cloth_width, r.cloth_height), float(r.depth.max()) * r.depth_step
+    away = float(np.median(np.linalg.norm(grips - r.camera.place, axis=-1)))
+    if away > farthest + APART * across:
+        raise ClothbenchError(
+            f"{where}: variable 'grip_position': found grips {away:g} m from the camera, in the middle of all stamps, "
+            f"which saw nothing beyond {farthest:.3g} m, expected them within {APART * across:.2g} m of that; are "
+            "these, or the camera's 'translation', millimetres?"
+        )
 
 
 def _check_colour(r: DepthImages, colour: Colour, where: str) -> None:

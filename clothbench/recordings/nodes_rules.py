@@ -13,6 +13,8 @@ from clothbench.core.scene_rules import off_sheet
 from clothbench.recordings.layout import Arrays, Layout, Part
 
 FEW, MILLI = 9, 100  # stamps, and times the frames' step and span, from which on grips are stamped in milliseconds
+JUMP = 8.0  # times the usual time between stamps beyond which they have jumped
+DROPPED = 1.75  # times the usual time between frames beyond which some in between are missing: one alone makes it 2
 COVERED = 0.9  # of the frames, while which somebody has to know where the grips are
 SIZES = {"uv": 2, "space": 3}
 LONGEST = 0.5  # s, for which a grip that a camera lost may be taken to go straight on: a hand swings at 1 Hz
@@ -130,13 +132,13 @@ def check_scale(arrays: Arrays, size: np.ndarray, where: str, read: bool) -> Non
     check_grips_near(grips, [places for places, _ in seen], across, where)
 
 
-def check_spread(spread: np.ndarray, across: float, where: str, what: str = "nodes") -> None:
+def check_spread(spread: np.ndarray, across: float, where: str, what: str = "nodes", name: str = "position") -> None:
     """What was seen of a cloth `across` m from corner to corner is not far larger, by how far it goes in each frame,
-    (T,) m, in the middle of all frames. what: that was seen.
+    (T,) m, in the middle of all frames. what: that was seen; name: of its variable.
     """
     if (middle := float(np.median(spread))) > APART * across:
         raise ClothbenchError(
-            f"{where}: variable 'position': found {what} {middle:g} m apart in the middle of all frames, "
+            f"{where}: variable '{name}': found {what} {middle:g} m apart in the middle of all frames, "
             f"{at_most(across)}"
         )
 
@@ -273,9 +275,10 @@ def check_points(points: np.ndarray, name: str, size: np.ndarray, where: str) ->
 
 def longest_gap(time: np.ndarray, seen: np.ndarray) -> tuple[float, float]:
     """The longest time [s] without a sample, of those numbered `seen` (K,) among stamps (T,) s, and when it begins [s];
-    0 where no sample is missing between the first and the last.
+    0 where no sample is missing between the first and the last, nor a frame that was dropped before it got a number.
     """
-    gaps = np.where(np.diff(seen) > 1, np.diff(time[seen]), 0.0)
+    apart = np.diff(time[seen])
+    gaps = np.where((np.diff(seen) > 1) | (apart > DROPPED * np.median(np.diff(time))), apart, 0.0)
     worst = int(np.argmax(gaps)) if gaps.size else 0
     return (float(gaps[worst]), float(time[seen[worst]])) if gaps.size else (0.0, float("nan"))
 
@@ -298,9 +301,19 @@ def stamp_rounding(time: np.ndarray) -> float:
 
 
 def while_held(time: np.ndarray, grip_time: np.ndarray) -> np.ndarray:
-    """Which frames (T,) s lie within the grips' stamps (K,) s, (T,) bool."""
-    rounding = stamp_rounding(grip_time)
-    return (time >= grip_time[0] - rounding) & (time <= grip_time[-1] + rounding)
+    """Which frames (T,) s lie within the grips' stamps (K,) s, and in no hole of theirs, (T,) bool."""
+    rounding, holes = stamp_rounding(grip_time), holes_in(grip_time)
+    after = np.minimum(np.searchsorted(grip_time, time - rounding), len(grip_time) - 1)
+    lost = holes[np.maximum(after - 1, 0)] & (time < grip_time[after] - rounding)
+    return (time >= grip_time[0] - rounding) & (time <= grip_time[-1] + rounding) & ~lost
+
+
+def holes_in(grip_time: np.ndarray) -> np.ndarray:
+    """After which of the grips' stamps (K,) s nobody knows where they were until the next, (K-1,) bool: for far longer
+    than usual, and than they may be taken to go straight on. A few stamps are no log but a path that somebody states.
+    """
+    steps = np.diff(grip_time)
+    return (steps > max(JUMP * float(np.median(steps)), LONGEST)) & (len(grip_time) > FEW)
 
 
 def frames_held(time: np.ndarray, grip_time: np.ndarray, grip_material: np.ndarray) -> np.ndarray:
@@ -317,6 +330,13 @@ def check_overlap(time: np.ndarray, grip_time: np.ndarray, where: str) -> None:
             f"{time[0]:.10g} to {time[-1]:.10g} s, expected both in seconds; are the grips' milliseconds?"
         )
     covered = np.mean(while_held(time, grip_time))
+    if covered < COVERED and (holes := np.flatnonzero(holes_in(grip_time))).size:
+        first = holes[0]
+        raise ClothbenchError(
+            f"{where}: variable 'grip_time': found none from {grip_time[first]:.10g} to {grip_time[first + 1]:.10g} s, "
+            f"where {np.median(np.diff(grip_time)):.3g} s between stamps are usual, and {covered:.0%} of the frames "
+            f"covered, expected {COVERED:.0%}; cut the recording there"
+        )
     if covered < COVERED:
         raise ClothbenchError(
             f"{where}: variable 'grip_time': found {grip_time[0]:.10g}..{grip_time[-1]:.10g} s, "

@@ -18,6 +18,7 @@ from clothbench.core.observation import GripPath
 from clothbench.recordings.codec import freeze, hash_of, number
 from clothbench.recordings.layout import SPLITS, Arrays, Layout, Part, Stated, Variable
 from clothbench.recordings.nodes_rules import (
+    JUMP,
     check_clock,
     check_density,
     check_finite,
@@ -28,13 +29,13 @@ from clothbench.recordings.nodes_rules import (
     check_overlap,
     check_points,
     check_shapes,
+    check_spread,
 )
 from clothbench.recordings.supports import SUPPORTS, check_supports
 from clothbench.recordings.video import lens_of, size_of, text_of
 
 TEXTS = ("name", "fabric", "sensor", "source", "licence", "declared_effects", "motion", "split")
 HEADER = (*TEXTS, "cloth_width", "cloth_height", "areal_density", "gravity", "thickness")  # as tracked nodes have it
-JUMP = 8.0  # times the usual time between frames beyond which stamps have jumped
 
 
 class Stating(Protocol):
@@ -165,7 +166,9 @@ def check_jumps(time: np.ndarray, name: str, where: str) -> None:
 
 
 def check_grips(r: RawRecording, where: str) -> None:
-    """The grips of a raw recording, if it states any: whole, on the cloth, and at the times of the frames."""
+    """The grips of a raw recording, if it states any: whole, on the cloth, no farther from each other than cloth can
+    be, and at the times of the frames.
+    """
     grips = r.grips
     if grips is None:
         return
@@ -174,6 +177,8 @@ def check_grips(r: RawRecording, where: str) -> None:
     check_finite(grips.position, "grip_position", where)
     check_finite(grips.material, "grip_material", where)
     check_near(grips.position, "grip_position", where)
+    spread = np.linalg.norm(np.ptp(grips.position, axis=1), axis=-1)
+    check_spread(spread, math.hypot(r.cloth_width, r.cloth_height), where, "grips", "grip_position")
     check_points(grips.material, "grip_material", np.array([r.cloth_width, r.cloth_height]), where)
     check_overlap(r.time, grips.time, where)
 

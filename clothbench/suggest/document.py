@@ -70,11 +70,12 @@ def ends(known: Known, half: np.ndarray) -> dict[str, dict[str, float]]:
 def entry(subject: Subject, number: int, promise: Promise, wanted: Wanted) -> dict[str, Any]:
     """One experiment with what it promises; factors are of the intervals' widths, now over then."""
     known, experiment = subject.known, promise.experiment
+    speed, acceleration = experiment.fastest(promise.duration)
     now, expected = known.half, ends(known, promise.after)
     return {
         "rank": number, "name": name_of(promise), "grips": experiment.grips, "motion": experiment.motion,
         "duration_s": promise.duration, "frames_per_s": subject.rate, "points": len(experiment.scene.points),
-        "max_speed_m_s": experiment.speed, "max_acceleration_m_s2": experiment.acceleration,
+        "max_speed_m_s": speed, "max_acceleration_m_s2": acceleration,
         "information_nats": promise.gain, "widens": promise.widens(now), "counted_mm": 1e3 * promise.counted,
         "doubt_mm": 1e3 * promise.doubt, "parameters": {
             name: {

@@ -154,15 +154,13 @@ EXPERIMENTS: tuple[tuple[str, str], ...] = (
 @dataclass(frozen=True, eq=False)
 class Experiment:
     """One to choose from. scene: what is simulated, for the longest duration, and its motion goes on after that;
-    durations: s, of which it may last one; speed: m/s and acceleration: m/s², the most that a grip has.
+    durations: s, of which it may last one.
     """
 
     grips: str
     motion: str
     scene: Scene
     durations: tuple[float, ...]
-    speed: float
-    acceleration: float
 
     def lasting(self, duration: float) -> Scene:
         """The same, seen for so many seconds; the grips then go back to where they began, and stay."""
@@ -172,6 +170,10 @@ class Experiment:
             scene, times=scene.times[scene.times <= duration + 1e-9],
             grip_position=scene.grip_position[0] + ended(moved, scene.grip_time, duration),
         )  # fmt: skip
+
+    def fastest(self, duration: float) -> tuple[float, float]:
+        """The most speed [m/s] and acceleration [m/s²] of a grip, where it lasts so many seconds."""
+        return fastest(self.lasting(duration).grip_position)
 
 
 class Unsimulated(Exception):
@@ -244,12 +246,11 @@ def experiment(like: Scene, rate: float, wanted: Wanted, grips: str, motion: str
             return None
         below = middle - (like.height + TABLE_GAP) * up
         obstacles = (*obstacles, Obstacle("plane", triple(below), triple(up)))
-    speed, acceleration = np.max([fastest(size * one) for one in paths], axis=0)
     scene = dataclasses.replace(
         like, grip_time=clock, grip_material=material, grip_position=middle + (place + path) @ turn,
         times=np.arange(int(durations[-1] * rate + 1e-6) + 1) / rate, start=start, velocity=None, obstacles=obstacles,
     )  # fmt: skip
-    return Experiment(grips, motion, scene, durations, float(speed), float(acceleration))
+    return Experiment(grips, motion, scene, durations)
 
 
 def recorded_in(like: Scene, grips: str) -> bool:

@@ -536,6 +536,26 @@ def test_a_setting_that_is_given_two_values_is_refused(capsys, words):
     assert only_line(capsys.readouterr().err).endswith("out is given twice: 30 and 60; leave one of them out")
 
 
+@pytest.mark.parametrize("words", [["validate", "nowhere"], ["run", "model=none", "optimizer=ga", "recording=nowhere"]])
+def test_a_traceback_that_was_asked_for_changes_no_exit_code(capsys, monkeypatch, tmp_path, words):
+    monkeypatch.chdir(tmp_path)
+    assert main(words) == 2
+    plain = capsys.readouterr().err
+    assert main([*words, "--debug"]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("Traceback")
+    assert said.endswith("\n" + only_line(plain) + "\n")
+
+
+def test_a_file_that_cannot_be_written_is_exit_2_also_with_its_traceback(capsys, monkeypatch):
+    def full(options):
+        raise OSError(28, "No space left on device", "page.html")
+
+    monkeypatch.setitem(COMMANDS, "plugins", full)
+    assert main(["plugins", "--debug"]) == 2
+    assert capsys.readouterr().err.endswith("\nclothbench: page.html: No space left on device\n")
+
+
 def test_a_run_says_which_of_two_values_counts(capsys):
     say_twice(["budget=6", "++budget=7", "+a.b=1", "+a.b=2", "~c=1", "~c=2", "jobs=1", "jobs=1"])
     assert capsys.readouterr().err == ""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 from types import SimpleNamespace
 
 import pyarrow.parquet as parquet
@@ -67,7 +68,9 @@ def test_a_fit_leaves_with_units_intervals_and_provenance(clothbench, fitted):
     assert "not held: shear: MuJoCo has no parameter of its own" in done.stderr
     assert "altogether this moves baraff_witkin's own sheet by" in done.stderr
 
+    os.mkfifo(fitted / "pipe")
     for arguments, found in (
+        (("paper", "--to", "json", "--out", "pipe"), "pipe: found a device, pipe or socket, expected a file"),
         (("nothing", "--to", "json"), "there are: paper, swing; a class of fabrics"),
         (("paper", "--to", "bullet"), "no exporter named 'bullet'"),
         (("paper", "--to", "json", "--out", "deep"), "is a folder"),

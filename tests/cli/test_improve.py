@@ -17,6 +17,7 @@ from conftest import swinging_recording
 from test_commands import only_line
 
 from clothbench import ClothbenchError, Recording, write_recording
+from clothbench.cli.idle import say_split
 from clothbench.cli.improve import remarks, settings_of
 from clothbench.engine.suite import plan
 from clothbench.engine.tables import read_table
@@ -239,6 +240,39 @@ def test_recordings_of_several_weights_are_refused_and_several_fabrics_told(tmp_
     assert not any("one cloth" in line for line in remarks(cell, catalogue(), all_tried=False))
     (cell,) = planned(fabric="satin")  # one cloth may be called otherwise in each session
     assert any(line.startswith("paper, satin are taken for one cloth") for line in remarks(cell, catalogue(), False))
+
+
+def test_run_says_what_it_holds_out_where_no_recording_states_a_split(tmp_path, capsys):
+    for number in (0, 3):
+        write_recording(planted(number, ""), tmp_path / f"sway-{number}.nc")
+    words = [f"recordings={tmp_path}", *SMALL, "candidates=gravity_tilt"]
+    (cell,) = plan(settings_of(words), catalogue())
+    (held,) = cell.of_split("held_out")
+    said = f"no recording states a split; held out by seed 0: {held.name}"
+    say_split([cell, dataclasses.replace(cell, model="other")])
+    assert capsys.readouterr().err == f"clothbench: {said}\n"
+    say_split([cell, dataclasses.replace(cell, case="other")])
+    assert capsys.readouterr().err.splitlines() == [f"clothbench: {c}: {said}" for c in (cell.case, "other")]
+    say_split([dataclasses.replace(cell, split_by_seed=False)])
+    assert capsys.readouterr().err == ""
+
+
+def test_a_split_that_the_seed_draws_is_told_and_kept(place):
+    """By `run` as by `improve`, and in the verdict."""
+    for number in (0, 3):
+        write_recording(planted(number, ""), place / "bare" / f"sway-{number}.nc")
+    words = ["model=mass_spring", "suite.resolution=5", "suite.base=[]", "suite.candidates=[gravity_tilt]"]
+    command = [sys.executable, "-m", "clothbench", "run", "+suite=improve", "recordings=bare", *words, "out=bare-out"]
+    ran = subprocess.run(command, cwd=place, capture_output=True, text=True, timeout=600, check=False)
+    assert ran.returncode == 0, ran.stderr
+    assert "clothbench: no recording states a split; held out by seed 0: sway-" in ran.stderr
+    (cell,) = (place / "bare-out" / "cells").iterdir()
+    settings = json.loads((cell / "verdict.json").read_text())["settings"]
+    assert settings == {"bounds": {}, "resolution": 5, "split_by_seed": True}
+    assert (
+        "No recording states a split; which of them are held out was drawn with seed 0."
+        in (cell / "index.html").read_text()
+    )
 
 
 def test_a_recording_that_the_model_cannot_simulate_is_refused_before_a_fit(tmp_path):

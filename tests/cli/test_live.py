@@ -7,8 +7,11 @@ import signal
 import subprocess
 import sys
 import time
+from types import SimpleNamespace
 
 import pytest
+
+from clothbench.engine.progress import CellBar, Sweep
 
 CELL = ("model=mass_spring", "metric=node_error", "+options.mass_spring.resolution=5", "rerun=false")
 WIDE = {"COLUMNS": "180", "LINES": "40", "TERM": "xterm"}
@@ -51,6 +54,55 @@ def test_a_sweep_says_which_job_it_is_at(recordings_folder, tmp_path):
     for number in (1, 2, 3):
         assert f"job {number} of 3 · evaluations" in said
     assert re.search(r"60/60 [^\r\n]* left [^\r\n]*best|\d+/60 [^\r\n]* left [^\r\n]*best", said)
+
+
+def test_what_is_left_is_reckoned_without_what_is_compiled_first(monkeypatch, capsys):
+    """Each cell takes 10 s for 100 evaluations, told in tenths; before the first, 60 s went into compiling."""
+    clock = [0.0]
+    monkeypatch.setattr("clothbench.engine.progress.time", SimpleNamespace(monotonic=lambda: clock[0]))
+    cells = [
+        SimpleNamespace(key=str(k), label=f"cell {k}", budget=100, counts="evaluations", value_word="best")
+        for k in range(5)
+    ]
+    with CellBar(cells) as bar:
+        bar.done(cells[0], "kept")
+        clock[0] = 60.0
+        for cell in cells[1:]:
+            for tenth in range(1, 11):
+                clock[0] += 1.0
+                bar.tell(cell, 10 * tenth, 1.0)
+            bar.done(cell, "ok")
+    said = capsys.readouterr().err.splitlines()
+    assert said == [
+        "[1/5] kept: cell 0", "[2/5] ok: cell 1 (about 30 s left)", "[3/5] ok: cell 2 (about 20 s left)",
+        "[4/5] ok: cell 3 (about 10 s left)", "[5/5] ok: cell 4",
+    ]  # fmt: skip
+
+
+def test_of_cells_that_say_nothing_the_second_is_the_first_to_tell_what_is_left(monkeypatch, capsys):
+    """The first took 60 s longer than the others."""
+    clock = [60.0]
+    monkeypatch.setattr("clothbench.engine.progress.time", SimpleNamespace(monotonic=lambda: clock[0]))
+    cells = [
+        SimpleNamespace(key=str(k), label=f"cell {k}", budget=None, counts="steps", value_word="of") for k in range(3)
+    ]
+    with CellBar(cells) as bar:
+        for cell in cells:
+            clock[0] += 10.0
+            bar.done(cell, "ok")
+    said = capsys.readouterr().err.splitlines()
+    assert said == ["[1/3] ok: cell 0", "[2/3] ok: cell 1 (about 10 s left)", "[3/3] ok: cell 2"]
+
+
+def test_a_sweep_reckons_the_jobs_that_are_left_in_the_same_way(monkeypatch):
+    clock, sweep = [60.0], Sweep(jobs=3, passed=1)
+    monkeypatch.setattr("clothbench.engine.progress.time", SimpleNamespace(monotonic=lambda: clock[0]))
+    assert sweep.left(0.1) is None
+    clock[0] = 69.0
+    assert sweep.left(1.0) == pytest.approx(20.0)
+    sweep.done, sweep.passed, clock[0] = 1, 2, 75.0
+    assert sweep.left(0.5) == pytest.approx(15 * 1.5 / 1.4)
+    assert Sweep().left(0.5) is None  # nobody knows how many jobs there are
 
 
 def stopped(process: subprocess.Popen) -> int:

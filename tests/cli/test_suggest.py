@@ -22,6 +22,7 @@ from clothbench.engine.store import Store
 from clothbench.plugins.discovery import catalogue
 from clothbench.recordings.nodes import read_recording
 from clothbench.studies.calibration.cell import asked_and_fitted, set_up
+from clothbench.suggest.experiments import fastest
 from clothbench.suggest.settings import PLACEMENTS
 from clothbench.suggest.source import verdict_in
 
@@ -81,6 +82,8 @@ def test_the_motion_is_what_the_recording_says(told):
     assert table.shape[1] == 1 + 3 * len(expected.grip_material)
     assert table[:, 1:].reshape(len(table), -1, 3) == pytest.approx(expected.grip_position[: len(table)], abs=1e-6)
     assert table[0, 1:] == pytest.approx(table[-1, 1:], abs=1e-6)
+    stated = [found["experiments"][0][f"max_{name}"] for name in ("speed_m_s", "acceleration_m_s2")]
+    assert fastest(expected.grip_position) == pytest.approx(stated, rel=1e-6)
     lasts = found["experiments"][0]["duration_s"]
     assert expected.time[-1] <= lasts < table[-1, 0]
 

@@ -243,7 +243,13 @@ def test_a_simpler_one_that_corrects_something_else_does_not_take_the_place_of_t
 
 
 @pytest.mark.parametrize(
-    ("rms", "noise", "fall"), [(2.0, 0.5, 0.25 * (4 - 1)), (1.2, 0.9, 0.25 * (1.44 - 1)), (1.2, 0.1, 0.45 * (1 - 0.01))]
+    ("rms", "noise", "fall"),
+    [
+        (2.0, 0.5, 0.25 * (4 - 1)),
+        (1.2, 0.9, 0.25 * (1.44 - 1)),
+        (1.2, 0.1, 0.45 * (1 - 0.01)),
+        (1.1, 0.5, 0.45 * (1.21 - 0.25)),  # at the floor: of all that stands above the noise
+    ],
 )
 def test_a_name_has_to_explain_more_than_a_coarse_mesh_may_stand_for(rms, noise, fall):
     """Noise and mesh together are 1."""

@@ -58,7 +58,7 @@ def test_what_goes_another_way_in_each_recording_is_seen(monkeypatch):
     residual = [a * c[:, 0] + n for a, c, n in zip(amounts, columns["late"], noise, strict=True)]
     found = screened(residual, columns, random, monkeypatch)
     assert found[0].name == "late"
-    assert found[0].p_value < LOOP.significance
+    assert found[0].p_value == 2 / (1 + LOOP.permutations)  # asked twice, for amounts that hold for all before
     assert found[0].selected == 4
     assert found[1].why_not
 
@@ -143,6 +143,14 @@ def test_only_what_may_come_below_what_holds_for_all_is_fitted():
     assert not by_recording.within_reach(before, Candidate("b", 0.4, 0.01), goal, 1.0)
     none = by_recording.bar(Round(before, 1.0, (candidate("a", 1.1, "unphysical"),), (), ()), 20)
     assert by_recording.within_reach(before, Candidate("b", 0.1, 0.01), none, 1.0)
+
+
+def test_what_is_each_recordings_own_is_counted_once_for_each(monkeypatch):
+    """One number of the base and three of the effect, of which two are each of three recordings' own: 1 + 1 + 3 · 2."""
+    before = fitted_to([np.full(FRAMES, 5.0)] * 3, np.random.default_rng(0))
+    monkeypatch.setattr(by_recording, "own_names", lambda problem, name: ("b.x", "b.y"))
+    problem = SimpleNamespace(space_of=lambda name: [DELAY] * 3)
+    assert by_recording.size_by_recording(problem, before, "b") == 8
 
 
 def test_nothing_is_fitted_where_no_amounts_of_each_recordings_own_could_be_paid_for(monkeypatch):

@@ -11,7 +11,15 @@ from clothbench import ClothbenchError, Curve
 from clothbench.engine.checkpoint import Checkpoint
 from clothbench.plugins.discovery import catalogue
 from clothbench.studies.improve.candidates import candidates_of
-from clothbench.studies.improve.curve_steps import common_steps, loading, observed, variance_of_median
+from clothbench.studies.improve.curve_steps import (
+    CurveObservation,
+    common_steps,
+    floor_of,
+    loading,
+    observed,
+    spread,
+    variance_of_median,
+)
 from clothbench.studies.improve.curves import CurveCase, curve_evidence
 from clothbench.studies.improve.document import verdict_document
 from clothbench.studies.improve.fitting import fit
@@ -156,6 +164,28 @@ def test_the_spread_is_of_force_per_width():
     assert noise(0.05, 0.1, 0.05) < 2 * noise(0.05, 0.05, 0.05) < SIGMA
 
 
+def stepped(*force: float) -> CurveObservation:
+    """A run that was seen at stretches of 1.1, 1.2 and so on."""
+    stretch, once = 1.1 + 0.1 * np.arange(len(force)), np.ones(len(force), int)
+    return CurveObservation(stretch, np.array(force), once.astype(bool), once, 0.1)
+
+
+def test_the_spread_of_a_few_runs_is_that_of_one_more():
+    """Variances of 1 and 3 between three runs; the second sample twice as wide, of a root-mean-square width of √2."""
+    seen = [stepped(1.0, 2.0), stepped(2.0, 2.0), stepped(3.0, 5.0)]
+    assert spread(seen, [np.nan] * 3) == pytest.approx(2**0.5)
+    seen[1] = stepped(4.0, 4.0)
+    assert spread(seen, [0.05, 0.1, 0.05]) == pytest.approx(2**0.5 * 2**0.5)
+
+
+def test_without_other_runs_or_a_stated_noise_it_is_told_from_the_steps():
+    random, stretch = np.random.default_rng(0), np.arange(4000.0)
+    force = 1e-6 * stretch**2 + random.normal(0, 0.05, 4000)
+    curve = Curve("run", np.linspace(1, 2, 4000), force)
+    assert floor_of([stepped(*force)], [curve]) == pytest.approx(0.05, rel=0.05)
+    assert floor_of([stepped(*force)], [replace(curve, noise_sigma=0.3)]) == 0.3
+
+
 def test_a_step_of_stretch_that_no_run_has_a_sample_in_says_nothing_about_the_spread():
     """Runs that are logged at equal times, first slowly, then fast."""
     curves = runs(5, lambda e: 0 * e)
@@ -167,7 +197,7 @@ def test_a_step_of_stretch_that_no_run_has_a_sample_in_says_nothing_about_the_sp
 
 
 def locking(samples: int, split: str) -> Curve:
-    """It locks by far less than the load cell's 0.5 N scatter from sample to sample."""
+    """It locks, while the load cell scatters by 0.5 N from sample to sample."""
     strain = np.linspace(0, 0.3, samples)
     force = 10 * strain + 0.02 * (np.expm1(15 * strain) - 15 * strain)
     noise = np.random.default_rng(samples).normal(0, 0.5, samples)

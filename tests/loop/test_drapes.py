@@ -21,6 +21,7 @@ from clothbench.studies.improve.drape_quantities import (
     LEAST_SPREAD,
     alike,
     asymmetries,
+    contrasts,
     elongation,
     line_of,
     specimens_of,
@@ -39,7 +40,7 @@ from clothbench.studies.improve.fitted import Fitted, jackknife_interval
 from clothbench.studies.improve.permutation import permutation_test
 from clothbench.studies.improve.problem import Problem, residuals
 from clothbench.studies.improve.refits import by_chance
-from clothbench.studies.improve.selection import Candidate, assess, choose, told_from_nothing
+from clothbench.studies.improve.selection import Candidate, assess, away_from_null, choose, told_from_nothing
 from clothbench.studies.improve.settings import LOOP
 
 PLATE, DISC = 0.09, 0.15
@@ -113,6 +114,8 @@ def test_the_spread_is_pooled_over_sides_and_knows_missing_ones():
     assert spread_of(values) == pytest.approx([0.05, 0.002], rel=0.05)
     values[::2, 1] = np.nan
     assert spread_of(values) == pytest.approx([0.05, 0.002], rel=0.05)
+    few = np.array([[1.0, 10.0], [2.0, 14.0], [3.0, np.nan]])[..., None].repeat(2, axis=2)
+    np.testing.assert_allclose(spread_of(few), (10 / 3) ** 0.5)  # 2 + 8 over 2 + 1 degrees of freedom
 
 
 def test_captures_of_one_drape_are_told_from_those_laid_on_anew():
@@ -280,6 +283,48 @@ def test_nothing_is_rarely_told_from_nothing():
     assert wrong / 200 < 2 * LOOP.significance
 
 
+def even_amounts(t, wider=1.0):
+    """Two amounts, each t standard errors from nothing, that four recordings tell one as well as the other: their means
+    of ±e have a standard error of e/√3. Intervals are so many times as wide as recordings left out make them.
+    """
+    space = fitted_amounts([0.0, 0.0], np.random.default_rng(0)).space
+    residual = [0.01 * np.array([a, b]) for a in (-1.0, 1.0) for b in (-1.0, 1.0)]
+    theta = np.full(2, 2 * t * 0.01 / 3**0.5)  # half of it is its place in the unit cube
+    low, high = jackknife_interval(space, theta, residual, [np.eye(2)] * 4)
+    low, high = theta + wider * (low - theta), theta + wider * (high - theta)
+    return Fitted(("e",), space, theta, residual, [np.eye(2)] * 4, low, high, evaluations=1)
+
+
+def test_amounts_are_told_from_nothing_together_by_hotellings_bound():
+    """T² = 2 t², of which (R − 2)/(2 (R − 1)) is above F(0.95; 2, R − 2) = (R − 2)/2 (0.05^(−2/(R − 2)) − 1)."""
+    bound = (3 * 19 / 2) ** 0.5  # of t, for R = 4
+    for wider, as_wide in ((1.0, 1.0), (2.0, 2.0), (0.5, 1.0)):  # never surer than recordings left out make it
+        assert told_from_nothing(even_amounts(1.01 * as_wide * bound, wider), [0, 1], np.zeros(2))
+        assert not told_from_nothing(even_amounts(0.99 * as_wide * bound, wider), [0, 1], np.zeros(2))
+
+
+def test_one_amount_is_told_from_nothing_as_its_interval_has_it():
+    for factor in (0.99, 1.01):
+        found = even_amounts(3.1824 * factor)  # Student's t of three degrees of freedom
+        assert told_from_nothing(found, [0], np.zeros(1)) == (found.low[0] > 0) == (factor > 1)
+
+
+@pytest.mark.parametrize(
+    ("bounds", "value", "away"),
+    [
+        ((-1.0, 1.0), 1.9e-3, False),
+        ((-1.0, 1.0), -2.1e-3, True),
+        ((-4.0, 0.0), -3.9e-3, False),
+        ((-4.0, 0.0), -4.1e-3, True),
+    ],
+)
+def test_an_amount_is_something_from_a_thousandth_of_its_range_on(bounds, value, away):
+    space = ParameterSpace((Parameter("e.a", "a", "1", bounds, "linear", 0.0, "a", "", 0.0),))
+    theta = np.array([value])
+    found = Fitted(("e",), space, theta, [np.ones(2)] * 3, [np.ones((2, 1))] * 3, theta, theta, evaluations=1)
+    assert away_from_null(found, [0]).tolist() == [away]
+
+
 # --- what the drapes say themselves ----------------------------------------------------------------------------------
 
 
@@ -331,6 +376,14 @@ def test_a_name_explains_what_tells_faces_or_threads_apart_and_contradicts_none_
     assert "stay as unlike" in found.objection([a + h for a, h in zip(alike_faces, heavier, strict=True)], alike_faces)
     twins = [np.array([0.0, 0.7, 0.0, 0.7])] * 6  # alike to a hair: less than other first shapes change is nothing yet
     assert "as alike as chance" in found.objection(twins, [0 * r for r in twins])
+
+
+def test_contrasts_are_face_up_less_face_down_whichever_side_comes_first():
+    up, down = [0.5, 4e-3], [0.3, 1e-3]  # drape coefficient and elongation
+    expected = [0.2, 2.5e-3, 1.5e-3]
+    np.testing.assert_allclose(contrasts(np.array([up, down]), (1, 2)), expected)
+    np.testing.assert_allclose(contrasts(np.array([[9.0, 9.0], down, up]), (0, 2, 1)), expected)
+    np.testing.assert_allclose(contrasts(np.array([up]), (1,)), [np.nan, 4e-3, np.nan])
 
 
 def test_where_one_side_is_known_only_threads_can_be_told():

@@ -243,9 +243,11 @@ def test_a_calibration_leaves_a_valley_for_a_better_one(monkeypatch, start, end)
     )
 
 
-@pytest.mark.parametrize(("driven", "end"), [(0.0, 0.5), (1.0, 1.0)])
+@pytest.mark.parametrize(("driven", "end"), [(0.0, 0.5), (0.0078, 0.5), (0.012, 1.0), (1.0, 1.0)])
 def test_an_amount_at_its_bound_stays_there_only_if_half_of_it_leaves_more(monkeypatch, driven, end):
-    """The same hem with half of the weight on twice the width; or one whose weight alone is wanted beyond the bound."""
+    """The same hem with half of the weight on twice the width; or one whose weight alone is wanted beyond the bound, so
+    that half of it leaves 5 %, 12 % or much more.
+    """
 
     def law(theta):
         return np.array([theta[0] - 0.5, 10 * (theta[1] * theta[2] - 0.09), driven * (theta[1] - 1.5), 0.03])
@@ -264,7 +266,42 @@ def test_an_amount_at_its_bound_stays_there_only_if_half_of_it_leaves_more(monke
     after, count = jumps.off_bounds(OneParameterBase(), before)
     assert after.theta[1] == pytest.approx(end)
     assert after.theta[1] * after.theta[2] == pytest.approx(0.09, rel=0.05)
-    assert count == (1 + 1 + len(HEM) if driven == 0 else 1)
+    assert count == (1 + 1 + len(HEM) if end == 0.5 else 1)
+
+
+@pytest.mark.parametrize(("left", "turns"), [(0.996, 1), (0.994, LOOP.jump_limit), (1.0, 1)])
+def test_jumps_go_on_as_long_as_each_takes_off_half_a_percent(monkeypatch, left, turns):
+    """left: of the mean square, by every jump."""
+
+    def across(problem, fitted, which, where):
+        return np.where(np.arange(len(which)) == 0, 0.0, np.inf), where, 5
+
+    def better_of(problem, fit, start, rounds, goal):
+        return dataclasses.replace(fit, residual=[left**0.5 * r for r in fit.residual]), 1
+
+    monkeypatch.setattr(jumps, "across", across)
+    monkeypatch.setattr(jumps, "better_of", better_of)
+    before = fitted(rippled, HEM, START)
+    after, count = jumps.jump_along_valley(OneParameterBase(), before)
+    assert after.rms**2 == pytest.approx(left**turns * before.rms**2)
+    assert count == turns * (5 + 1)
+
+
+def test_an_amount_is_doubled_and_halved_from_where_it_is_nothing():
+    """One that is nothing at 0.1, and no further than to its bounds; its shape goes along in the valley."""
+    own = [dataclasses.replace(p, null=0.1) if p.name == "hem.a" else p for p in HEM]
+
+    def law(theta):
+        return np.array([theta[0] - 0.5, 10 * (theta[1] + np.log(theta[2])), 0.03])
+
+    before = fitted(law, ParameterSpace(tuple(own)), np.array([0.5, 0.4, 0.6]))
+    which, where = jumps.jumps(before)
+    assert which == [1, 1]
+    np.testing.assert_allclose([point[1] for point in where], [0.7, 0.25])
+    for point in where:  # along b = 0.6 exp(0.4 − a), on the logarithmic scale of b from 0.01 to 1
+        assert point[2] == pytest.approx(1 + (np.log(0.6) + 0.4 - point[1]) / np.log(100), abs=1e-3)
+    high = dataclasses.replace(before, theta=np.array([0.5, 0.8, 0.6]))
+    assert [point[1] for point in jumps.jumps(high)[1]] == pytest.approx([1.0, 0.45])
 
 
 def test_an_amount_within_its_bounds_is_let_be():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass, field
 from types import SimpleNamespace
 
@@ -133,7 +134,22 @@ def test_a_model_that_does_not_converge_is_not_corrected(judged):
     problem, after, doubt = judged(Meshed(0.1, order=-1.0), 0.01)
     assert not problem.corrections
     np.testing.assert_allclose(after.residual, 0.1 + PATTERN)
-    assert doubt > np.sqrt(np.mean(PATTERN**2)) / 3
+    assert doubt == pytest.approx(2 / 3 * 4 / 3 * np.sqrt(np.mean(PATTERN**2)))  # two thirds of what it would come to
+
+
+def test_the_mesh_is_looked_at_beside_the_base_with_the_effect_as_it_is():
+    space = ParameterSpace((*SPACE, Parameter("drag", "c", "1", (0.0, 1.0), "linear", 0.5, "of an effect", "made up")))
+    fitted = dataclasses.replace(fit_of(Meshed(0.1)), space=space, theta=np.array([0.5, 0.3]))
+    beside = refinement.beside_fit(Meshed(0.1), fitted).theta
+    assert abs(beside[0] - 0.5) == pytest.approx(0.05)
+    assert beside[1] == 0.3
+
+
+def test_a_third_of_what_the_mesh_is_corrected_by_stays_in_the_interval():
+    names, fitted = ("first", "second"), fit_of(Meshed(0.1))
+    changes = {name: 0.3 * column[:, 0] for name, column in zip(names, OTHERWISE, strict=True)}  # shifts by 0.3
+    wide = refinement.with_errors_of_mesh_and_model(Meshed(0.1, corrections=changes), fitted, fitted.rms)
+    np.testing.assert_allclose([0.5 - wide.low[0], wide.high[0] - 0.5], np.hypot(0.1, 0.1), rtol=1e-6)
 
 
 def test_what_a_finer_mesh_cannot_simulate_may_all_be_the_mesh(judged, monkeypatch):
@@ -172,3 +188,23 @@ def test_a_parameter_that_changes_nothing_may_be_anything():
     assert (low[1], high[1]) == (0.0, 2.0)
     low, high = jackknife_interval(two, middle[:2], residual, told_once, alone=True)
     assert high[1] - low[1] < 0.1
+
+
+def few(recordings, off=0.0):
+    """The interval that so many recordings give a fit whose search stopped `off` its end, of the scaled range."""
+    random = np.random.default_rng(1)
+    columns = [random.normal(size=(20, 1)) for _ in range(recordings)]
+    residual = [0.01 * random.normal(size=20) + off * c[:, 0] for c in columns]
+    return jackknife_interval(SPACE, np.array([0.5]), residual, columns)
+
+
+def test_a_search_that_stopped_short_is_as_sure_as_one_that_did_not():
+    """How far the fit moves without each recording is told from the mean of these, not from where it stopped."""
+    np.testing.assert_allclose(few(4, off=0.1), few(4), rtol=1e-6)
+    low, high = few(4)
+    assert 0 < high[0] - low[0] < 0.1
+
+
+@pytest.mark.parametrize(("recordings", "known"), [(2, False), (3, True)])
+def test_fewer_than_three_recordings_give_no_interval(recordings, known):
+    assert np.isfinite(few(recordings)).all() == known

@@ -15,11 +15,13 @@ from clothbench.studies.improve.account import Account
 from clothbench.studies.improve.attribution import Probe
 from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.fitting import calibrated_anew, multistart, sums_of_squares
+from clothbench.studies.improve.held_out import placebo_of
 from clothbench.studies.improve.loop import all_rounds, confirmed, from_better, next_round, recalibrated
 from clothbench.studies.improve.refits import (
     as_a_limit,
     beside_tied,
     fit_starts,
+    near,
     polished,
     refine_finalists,
     refit,
@@ -380,6 +382,24 @@ def test_what_its_limit_does_nearly_as_well_is_not_named(monkeypatch, leaves, fo
     assert as_a_limit(problem, fit, account) == why
 
 
+def test_beside_a_limit_the_others_go_where_the_residual_falls(monkeypatch):
+    """It is −3 mm there, and rises by 10 mm over the range of the model's own parameter: three tenths further up."""
+    space = ParameterSpace((*SPACE, *(dataclasses.replace(p, name=f"spring.{p.name}") for p in Spring.parameters)))
+    theta, jacobian = np.array([2.0, 0.5, 0.5]), np.hstack([np.full((9, 1), 1e-2), np.ones((9, 2))])
+    fit = Fitted(("spring",), space, theta, [np.full(9, 1e-3)] * 2, [jacobian] * 2, theta, theta, 1)
+    problem, asked = SimpleNamespace(trials=lambda names, split: None, make=lambda kind, name: Spring()), []
+
+    def evaluate(trials, theta):
+        asked.append(float(space.to_unit(theta)[0, 0] - space.to_unit(fit.theta)[0]))
+        return SimpleNamespace(residual=np.full((1, 18), (1e-2 * asked[-1] - 3e-3) / np.sqrt(18))), []
+
+    monkeypatch.setattr("clothbench.studies.improve.refits.evaluate", evaluate)
+    account = Account(lambda *_: None)
+    account.stage("round 1", 0, 1)
+    assert as_a_limit(problem, fit, account) == "cannot be told from stiffness"
+    assert asked == pytest.approx([0.0, 0.3], abs=1e-6)
+
+
 @pytest.mark.parametrize(("floor", "sought"), [(1e-3, ["a", "c"]), (2.1e-3, ["a"])], ids=["room", "no room"])
 def test_nobody_is_sought_who_would_have_to_leave_less_than_the_floor(monkeypatch, floor, sought):
     """With five parameters more it has something to say only if it leaves less than 2 mm."""
@@ -400,6 +420,29 @@ def test_nobody_is_sought_who_would_have_to_leave_less_than_the_floor(monkeypatc
     assert [c.fitted for c in found] == [c.fitted for c in tried]
 
 
+def test_whoever_gains_half_of_what_a_name_takes_may_yet_be_named(monkeypatch):
+    """A name takes 4 mm² of 9; of four one gains that, one 2.5 mm², one 1.5 mm², one nothing."""
+    evidence, asked = SimpleNamespace(search=SearchSettings(), objection=lambda before, after: ""), []
+    monkeypatch.setattr(
+        "clothbench.studies.improve.refits.multistart",
+        lambda problem, base, fit, rounds, goal: (asked.append(fit.effects[0]) or fit, 0),
+    )
+    monkeypatch.setattr("clothbench.studies.improve.refits.polished", lambda problem, fit, account, goal: fit)
+    monkeypatch.setattr("clothbench.studies.improve.refits.better_of", lambda problem, fit, *_: (fit, 0))
+    tried = [
+        Candidate(name, 0.5, 0.005, fitted=with_wind(name, 0, (9e-6 - gain) ** 0.5))
+        for name, gain in (("d", 0.0), ("c", 1.5e-6), ("b", 2.5e-6), ("a", 4e-6))
+    ]
+    problem = SimpleNamespace(evidence=evidence)
+    refine_finalists(problem, fitted(3e-3), 1e-5, 4e-6, tried, Account(lambda *_: None), 0)
+    assert asked == ["a", "b"]
+
+
+def test_a_ripple_keeps_a_fit_from_its_goal_by_a_quarter_at_most():
+    assert near(with_wind("a", 0, 1.24**0.5), 1.0)
+    assert not near(with_wind("a", 0, 1.26**0.5), 1.0)
+
+
 def test_a_probe_of_an_earlier_round_may_be_set_out_from():
     """It knows nothing of the effect named since, whose parameters follow those that it knows."""
     one, random = fitted(4e-3), np.random.default_rng(0)
@@ -412,6 +455,17 @@ def test_a_probe_of_an_earlier_round_may_be_set_out_from():
     assert starts.shape == (3, len(now.theta) + 1)
     assert starts[2, -2] == pytest.approx(1.0)  # as tried: what it did not know stays where it is
     assert starts[2, 0] != one.theta[0]
+
+
+def test_a_probe_is_set_out_from_with_and_without_the_step_of_the_base():
+    """All that is left is three tenths of what the probe does and 0.05 of what the base's parameter does."""
+    random = np.random.default_rng(0)
+    columns, jacobian = ([random.normal(size=(9, 1)) for _ in range(2)] for _ in range(2))
+    residual = [-0.3 * c[:, 0] - 0.05 * j[:, 0] for c, j in zip(columns, jacobian, strict=True)]
+    now = dataclasses.replace(fitted(1.0), residual=residual, jacobian=jacobian)
+    probe = Probe("a", np.zeros(1), (0,), np.array([0.1]), np.zeros((1, 1)), columns)
+    # The base's parameter goes from 1 to 9.
+    np.testing.assert_allclose(fit_starts("a", now, [probe]), [[2.4, 0.03], [2.0, 0.03], [2.0, 0.1]], rtol=1e-3)
 
 
 def test_a_candidate_is_fitted_from_whichever_of_its_probes_leaves_least(monkeypatch):
@@ -457,6 +511,49 @@ def test_ripples_on_some_recordings_do_not_part_two_effects_that_correct_the_sam
     assert {c.name: bool(c.why_not) for c in assessed} == {"a": False, "b": not same}
 
 
+def leaving(effect: str, squares: list[float]) -> Candidate:
+    """Takes nearly all of what `signal_of` has, and leaves these mean squares of the recordings."""
+    left = [q**0.5 * s / 4 for q, s in zip(squares, signal_of(len(squares)).residual, strict=True)]
+    return Candidate(effect, 0.5, 0.005, fitted=dataclasses.replace(with_wind(effect, 0, 1.0), residual=left))
+
+
+def signal_of(count: int) -> Fitted:
+    """A mean square of 16 in each recording."""
+    random = np.random.default_rng(4)
+    return dataclasses.replace(fitted(1.0), residual=[random.choice([-4.0, 4.0], 400) for _ in range(count)])
+
+
+@pytest.mark.parametrize(
+    ("squares", "gain", "stands", "why"),
+    [
+        ([1, 1, 1, 17], 1.0, 4, ""),
+        ([1, 1, 17, 17], 1.0, 4, "helps in 2 of 4 recordings only"),
+        ([1, 15, 15, 15], 2.0, 3, ""),
+        ([6, 6, 15.5, 15.5], 5.0, 2, "falls short or behind another when a recording is left out (stands in 2 of 4)"),
+        ([11.1] * 4, 5.0, 0, "explains only 98% of what a name has to"),
+    ],
+)
+def test_a_name_may_fail_on_one_recording_and_not_on_two(squares, gain, stands, why):
+    (found,) = assess(signal_of(4), gain, [leaving("a", squares)])
+    assert (found.selected, found.why_not) == (stands, why)
+    assert found.gain == pytest.approx(16 - np.mean(squares))
+
+
+def test_two_that_correct_the_same_are_compared_on_all_recordings_at_once():
+    """b leaves 15 % more than a in all; without the third or the fourth recording it would be a third."""
+    tried = [leaving("a", [1.0, 1.0, 1.0, 1.0]), leaving("b", [1.7, 1.7, 0.6, 0.6])]
+    assert [(c.name, c.selected, c.why_not) for c in assess(signal_of(4), 5.0, tried)] == [("a", 4, ""), ("b", 4, "")]
+
+
+def test_of_equally_simple_effects_the_one_with_fewest_shapes_comes_first():
+    plain, shaped = with_wind("plain", 1, 1.0), with_wind("shaped", 1, 0.99)
+    amounts = (*plain.space.parameters[:-1], dataclasses.replace(plain.space.parameters[-1], null=0.0))
+    plain = dataclasses.replace(plain, space=ParameterSpace(amounts))
+    before = dataclasses.replace(fitted(9.0), residual=[np.full(9, 9.0)] * 3)
+    tried = [Candidate(fit.effects[0], 0.5, 0.005, fitted=fit) for fit in (shaped, plain)]
+    assert choose(before, tried) == ("plain", "shaped")
+
+
 @pytest.mark.parametrize(
     ("rival", "gains", "holds"),
     [(2.1e-3, 0.5e-6, False), (2.1e-3, 2e-6, True), (2.3e-3, 0.0, True)],
@@ -497,6 +594,39 @@ def test_a_further_name_has_to_hold_beside_what_an_earlier_one_is_tied_with(monk
     assert holds or "beside second, which first is tied with" in why
     assert asked[0] == (("second",), [[2.0, 0.5], [2.0, 0.5]])
     assert asked[1:] == ([] if rival == 2.3e-3 else [(("second", "third"), [[2.0, 0.5, 0.7], [2.5, 0.5, 0.7]])])
+
+
+def test_amounts_of_each_recordings_own_are_beside_no_tie(monkeypatch):
+    """What they are tied with was fitted by recording as well, which nobody does again."""
+    first, second = with_wind("first", 0, 2e-3), with_wind("second", 0, 2.1e-3)
+    monkeypatch.setattr("clothbench.studies.improve.refits.fit", None)
+    tie = (Candidate("first", 0.5, 0.005, fitted=first), Candidate("second", 0.5, 0.005, fitted=second))
+    named = Round(fitted(9e-3), 1e-3, tie, (), ("first", "second"), first, own={"first": {"rec-01": first}})
+    state = State(SimpleNamespace(), fitted(9e-3), first, 0.5e-3, 0.9e-3, (named,))
+    found = Round(first, 1e-3, (), (), ("third",), dataclasses.replace(first, effects=("first", "third")))
+    assert beside_tied(state, found, Account(lambda *_: None)) == ""
+
+
+def test_the_placebo_is_the_candidate_that_promised_least_but_something(monkeypatch):
+    """Fitted beside what was named, from where that ended and nothing of it; none where nothing was named or left."""
+    held_out, asked = "clothbench.studies.improve.held_out", []
+
+    def fit(problem, names, start, rounds):
+        asked.append((names, start.tolist()))
+        return with_wind("c", 1, 1e-3)
+
+    monkeypatch.setattr(f"{held_out}.fit", fit)
+    monkeypatch.setattr(f"{held_out}.held_out_errors", lambda problem, fit: [2e-3, 3e-3])
+    problem = SimpleNamespace(of_split=lambda split: ["third", "fourth"], space_of=lambda name: wind(1))
+    shares = {"a": 0.01, "b": 0.5, "c": 0.02, "d": 0.0, "e": -1.0}
+    tried = tuple(Candidate(name, share, 0.5) for name, share in shares.items())
+    final = with_wind("a", 0, 2e-3)
+    last = Round(final, 1e-3, tried, (), ())
+    found, count = placebo_of(problem, final, (last,))
+    assert (found.name, found.errors, count) == ("c", (2e-3, 3e-3), 10)
+    assert asked == [(("a", "c"), [2.0, 0.5, 0.0, 0.0])]
+    for fitted_, rounds in ((fitted(2e-3), (last,)), (final, (Round(final, 1e-3, tried[3:], (), ()),))):
+        assert placebo_of(problem, fitted_, rounds) == (None, 0)
 
 
 def test_fits_are_compared_by_the_mean_square_of_all_recordings():

@@ -251,3 +251,43 @@ def test_every_law_that_effects_may_follow_is_one_that_torques_can_show():
     assert {term.law for term in terms()} - {""} == set(FORCE_LAWS)
     said = {law_of_force(plugins.make("effects", name)) for name in plugins.names("effects")}
     assert said - {""} == set(FORCE_LAWS)
+
+
+def test_what_is_held_out_is_told_beside_noise_and_mesh_together(state):
+    """Twice the noise, and less than half as much again as both."""
+    state.problem.of_split = lambda split: [SimpleNamespace(name="third")]
+    base = fitted([np.full(9, 1.1e-3)] * 2)
+    coarse = replace(state, base=base, final=base, noise=1e-3, mesh=0.9e-3)
+    assert concluded(coarse, [2.0e-3]).word == "complete"  # 1.5 times √(1² + 0.9²) is 2.02
+    assert concluded(coarse, [2.1e-3]).word == "unexplained"
+
+
+def test_what_is_unexplained_lies_above_noise_and_mesh(state):
+    base = fitted([np.full(540, 3e-3)] * 2)
+    found = concluded(replace(state, base=base, final=base, noise=1e-3, mesh=0.6e-3), [])
+    assert found.word == "unexplained"
+    assert 1e3 * found.unexplained == pytest.approx((9 - 1 - 0.36) ** 0.5)
+
+
+@pytest.mark.parametrize(("share", "word"), [(0.5, "attributed"), (0.6, "unexplained")])
+def test_where_the_base_is_at_the_floor_a_name_is_judged_by_what_stands_above_the_noise(state, share, word):
+    """share: of the mean square above the noise that is left; at the floor 0.45 of it have to go."""
+    noise, floor = 0.5e-3, np.hypot(0.5e-3, 1e-3)
+    base = fitted([np.full(540, 1.1e-3)] * 2)
+    left = (noise**2 + share * (base.rms**2 - noise**2)) ** 0.5
+    final = fitted([np.full(540, left)] * 2, ("quadratic_drag",), [DRAG])
+    named = Candidate("quadratic_drag", 0.5, 0.005, base.rms**2 - left**2, fitted=final)
+    rounds = (Round(base, floor, (named,), (), ("quadratic_drag",), final), Round(final, floor, (), (), ()))
+    assert concluded(replace(state, base=base, final=final, noise=noise, mesh=1e-3, rounds=rounds), []).word == word
+
+
+@pytest.mark.parametrize(("second", "word"), [("quadratic_drag", "attributed"), ("total_mass", "unexplained")])
+def test_where_much_is_left_the_torques_have_to_say_the_same_of_every_name(state, second, word):
+    base, final = state.base, fitted([0.7 * r for r in state.base.residual], ("quadratic_drag",), [DRAG])
+    rounds = tuple(
+        Round(base, 1e-3, (Candidate(name, 0.5, 0.005, fitted=final),), (), (name,), final)
+        for name in ("quadratic_drag", second)
+    )
+    told = SimpleNamespace(amounts=(SimpleNamespace(term=SimpleNamespace(law="normal velocity squared")),), alike=())
+    told = SimpleNamespace(law=told)
+    assert concluded(replace(state, final=final, rounds=rounds, balance=told), []).word == word

@@ -28,13 +28,13 @@ def lines(shape, even, random):
     return [np.cumsum(np.full(k, 0.02) if even else random.uniform(0.01, 0.03, k)) for k in shape]
 
 
-def two_sheets(shape, even=True):
+def two_sheets(shape, even=True, held=()):
     """The same sheet twice, known as a grid and with its triangles in disorder; and its nodes (3, n) m, crumpled."""
     random = np.random.default_rng(3)
     uv = np.stack([a.ravel() for a in np.meshgrid(*lines(shape, even, random))], axis=1)
     ones, triangles = np.ones(len(uv)), grid_triangles(shape)
     sheets = [
-        sheet_of(uv, ones, ones, rows, (0, 0, 0), 1.2)
+        sheet_of(uv, ones, ones, rows, (0, 0, 0), 1.2, held)
         for rows in (triangles, np.roll(random.permutation(triangles), 1, axis=1))
     ]
     x = np.stack([uv[:, 0], uv[:, 1], 0 * uv[:, 0]]) + random.normal(0, 0.004, (3, len(uv)))
@@ -69,6 +69,20 @@ def test_a_grid_and_its_triangles_in_disorder_push_and_remember_alike(name, shap
     assert (np.abs(expected[-1]).max() > 1e-9) != bends_to_nothing
     scale = 1.0 if bends_to_nothing else np.abs(expected).max()
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * scale)
+
+
+@pytest.mark.parametrize("along", ["u", "v", "corner"])
+@pytest.mark.parametrize("name", EFFECTS)
+def test_a_grid_and_its_triangles_in_disorder_leave_a_clamp_alike(name, along):
+    nodes = np.arange(42).reshape(6, 7)
+    held = {"u": nodes[:, 1:3], "v": nodes[3:5], "corner": nodes[3:, 4:]}[along].ravel()
+    (grid, mesh), x = two_sheets((7, 6), even=False, held=held)
+    free, _ = two_sheets((7, 6), even=False)
+    assert (grid.columns, mesh.columns) == (7, 0)
+    found, expected, without = (forces(name, sheet, moved(x)) for sheet in (grid, mesh, free[0]))
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+    bends = name not in ("poisson_coupling", "stretch_stiffening")
+    assert (np.abs(found - without).max() > 1e-3 * np.abs(found).max()) == bends
 
 
 @pytest.mark.parametrize("collapsed", ["to a point", "to a line"])

@@ -69,16 +69,19 @@ def test_with_a_ratio_of_one_it_is_the_plate_that_bends_alike():
     np.testing.assert_allclose(alike.values, matrix.values, rtol=1e-12, atol=1e-10 * alike.values.max())
 
 
-@pytest.mark.parametrize(("name", "along"), [("baraff_witkin", 17), ("inextensible", 17), ("kirchhoff_love", 97)])
-def test_a_cantilever_tells_the_rigidity_of_its_own_thread(name, along):
-    """ρ g L⁴/(8 D_warp) and ρ g L⁴/(8 D_weft) at the tip, to a percent. (A spline is clamped at the second held column
-    and not between both, which the shell's mesh has to make small.)"""
+@pytest.mark.parametrize(
+    ("name", "along", "within"),
+    [("baraff_witkin", 17, 0.005), ("inextensible", 17, 0.005), ("kirchhoff_love", 97, 0.015)],
+)
+def test_a_cantilever_tells_the_rigidity_of_its_own_thread(name, along, within):
+    """ρ g L⁴/(8 D_warp) and ρ g L⁴/(8 D_weft) at the tip. (A spline may bend between the two held columns, which the
+    shell's mesh has to make small.)"""
     (trial,) = trials.cantilever_small(along)
     material = dataclasses.replace(trial.material, bending_ratio=RATIO)
     model = catalogue().make("models", name, orthotropic=True)
     for scene, softer in ((trial.scene, 0.5), (along_weft(trial.scene), 2.0)):
         position = simulate(model, scene, *model.of_material(material, scene))
-        assert trial.measure(trial.scene, position) == pytest.approx(softer * trial.reference, rel=0.01), scene.width
+        assert trial.measure(trial.scene, position) == pytest.approx(softer * trial.reference, rel=within), scene.width
 
 
 # --- stretch ----------------------------------------------------------------------------------------------------------

@@ -13,6 +13,7 @@ import sys
 import numpy as np
 import pytest
 from clothbench_exporters import mjcf, newton_script, plain, ppf, usd
+from clothbench_exporters.mesh import grip_nodes, sheet_of_twin
 from clothbench_models.baraff_witkin import BaraffWitkin
 from conftest import ROOT
 from twins_at_work import apart, in_mujoco, in_newton, off
@@ -282,6 +283,26 @@ def test_what_is_around_the_cloth_is_written_or_a_line(held):
     assert document["obstacles"][0]["radius"] is None
     assert document["thickness"] == {"value": 1e-3, "unit": "m"}
     assert document["outline"]["material"] == outline.tolist()
+
+
+def test_a_twin_begins_where_its_grips_do(held):
+    scene, slack = held[0].scene, np.array([[0.0, 0, 1], [0.5, 0, 1], [0, -0.32, 1], [0.5, -0.32, 1]])
+    times = np.array([-1.0, 0.0, 1.0])
+    corners = np.array([[0.0, 0.0], [0.6, 0.0], [0.0, 0.4], [0.6, 0.4]])
+    scene = dataclasses.replace(
+        scene, width=0.6, height=0.4, grip_time=times, grip_material=corners,
+        grip_position=np.stack([slack - [0.0, 0.1, 0.0], slack, slack]), times=times[1:], points=corners[:1] + 0.1,
+        start=None, resolution=None,
+    )  # fmt: skip
+    for begins, velocity, start in ((-1.0, None, None), (0.0, np.zeros((1, 3)), np.array([[0.1, -0.1, 0.9]]))):
+        twin = Twin("slack", dataclasses.replace(scene, velocity=velocity, start=start), CLOTH, {}, "")
+        assert twin.scene.start_time == begins
+        sheet, shape = sheet_of_twin(twin)
+        first = twin.scene.grips_at(np.array([begins]))[0]
+        np.testing.assert_allclose(shape[grip_nodes(twin, sheet)], first, atol=1e-12)
+        assert json.loads(plain.export(twin).text)["grips"]["first_position"] == first.tolist()
+    free = dropped(Obstacle("plane"))
+    assert json.loads(plain.export(Twin("free", free, CLOTH, {}, "")).text)["grips"]["first_position"] == []
 
 
 def test_what_a_target_cannot_hold_is_a_line_each(held):

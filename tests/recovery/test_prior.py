@@ -28,9 +28,9 @@ def cantilever() -> Recording:
     load = DENSITY * references.G * LENGTH**3 / PLANTED
     scene = scenes.clamped(LENGTH, 13, load)
     curve = references.cantilever(load)
-    s = (scene.points[:, 0] - scene.points[1, 0] / 2) / LENGTH
+    s = (scene.points[:, 0] - scene.points[1, 0]) / LENGTH
     x, z = (LENGTH * np.interp(np.maximum(s, 0), curve.s, along) for along in (curve.x, curve.z))
-    level = np.where(s < 0, s * LENGTH, x) + scene.points[1, 0] / 2
+    level = np.where(s < 0, s * LENGTH, x) + scene.points[1, 0]
     line = np.stack([level, scene.points[:, 1], z], axis=1)
     noise = np.random.default_rng(3).normal(0, 3e-4, (4, *line.shape))
     return Recording(

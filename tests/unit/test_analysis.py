@@ -78,10 +78,14 @@ def test_variability_is_the_change_that_changes_the_error_by_one_percent():
         (0.0, 0.4, 50.0),
         (0.0, 0.0, np.inf),
         (-1.0, 10.0, 4.1421),
+        (1.0, -10.0, 4.1421),
+        (0.0, -0.4, 50.0),
     ],
 )
 def test_the_nearest_crossing_of_the_parabola_counts(slope, curvature, expected):
-    """Base 5, so 1 % is 0.05; the last one rises by it on the left sooner than it sinks by it on the right."""
+    """Base 5, so 1 % is 0.05; the fifth rises by it on the left sooner than it sinks by it on the right; the last one
+    sinks only.
+    """
     share = np.array([-0.2, -0.1, 0.1, 0.2])
     value, *_ = parabola(share, 5 + slope * share + curvature * share**2 / 2, 5.0)
     assert value == pytest.approx(expected, rel=1e-3)
@@ -150,6 +154,18 @@ def test_a_start_of_zero_is_moved_by_a_share_of_its_range():
     begun = [r["start"] for r in rows if r["name"] == "slope"]
     assert len(set(begun)) == 4
     assert max(map(abs, begun)) <= 0.05 * 2.0  # from -1 to 1
+
+
+@pytest.mark.parametrize("bounds", [(0.0, 2.0), (-2.0, 0.0)])
+def test_a_start_of_zero_at_a_bound_is_turned_back_into_the_range(bounds):
+    space = ParameterSpace((SPACE.parameters[0], dataclasses.replace(SPACE.parameters[1], bounds=bounds)))
+    fit = calibrate([bowl_trial()], catalogue().make("optimizers", "nelder_mead", space, seed=1, budget=9), space)
+    fit = dataclasses.replace(fit, start=np.array([1.0, 0.0]))
+    rows = repeats([bowl_trial()], space, fit, 8, 7, lambda space, seed: fit)
+    begun = [abs(r["start"]) for r in rows if r["name"] == "slope"]
+    assert begun[0] == 0.0
+    assert 0 < min(begun[1:]) < max(begun[1:]) <= 0.05 * 2.0
+    assert len(set(begun)) == 9
 
 
 @pytest.mark.parametrize(("note", "stated"), [("3.5", 3.5), ("unknown", None), ("", None), ("nan", None)])
@@ -231,6 +247,21 @@ def test_lost_members_take_their_block_along_and_are_counted_without_it():
     (first, *_) = sobol([sum_trial(lost=-1.0)], BOX, 16, 3)
     assert first.get("main") is None
     assert "fewer than four blocks" in first["reason"]
+
+
+def test_one_trajectory_has_no_spread():
+    (first, *_) = morris([sum_trial()], BOX, 2, 3)
+    assert first["main"] == pytest.approx(4.0)
+    whole = iter([True] * 4 + [False] * 4)  # of the second none could be simulated
+
+    class Half(Sum):
+        def run(self, theta):
+            rollout = super().run(theta)
+            return dataclasses.replace(rollout, status=tuple("ok" if next(whole) else "diverged" for _ in theta))
+
+    (first, *_) = morris([dataclasses.replace(sum_trial(), simulation=Half())], BOX, 2, 3)
+    assert first.get("main") is None
+    assert "fewer than two trajectories" in first["reason"]
 
 
 def test_the_page_says_why_an_analysis_has_no_figure():

@@ -7,10 +7,19 @@ from concurrent.futures import ThreadPoolExecutor
 import numba
 import numpy as np
 import pytest
+from scipy.stats import t as student_t
 
 from clothbench import ClothbenchError, Observation, Outlines, Parameter, ParameterSpace, Rollout, Score
 from clothbench.estimation.calibrate import Fit, calibrate
-from clothbench.estimation.intervals import clusters, error_interval, intervals, jackknife, mean_interval, mean_of_split
+from clothbench.estimation.intervals import (
+    clusters,
+    error_interval,
+    intervals,
+    jackknife,
+    mean_interval,
+    mean_of_split,
+    undetermined,
+)
 from clothbench.estimation.trials import Trial, evaluate
 from clothbench.plugins.discovery import catalogue
 
@@ -114,6 +123,58 @@ def test_a_lost_run_tells_nothing_whatever_positions_it_left():
     assert np.isfinite(evaluation.value).tolist() == [True, False]
     assert np.isfinite(evaluation.residual[0]).all()
     assert np.isnan(evaluation.residual[1]).all()
+
+
+LINE = ParameterSpace(
+    tuple(Parameter(n, n, "m", (0.0, high), "linear", 0.5, n, "toy") for n, high in (("x", 1.0), ("y", 4.0)))
+)
+
+
+class Linear(Toy):
+    """A model and a metric in one: what is left is A θ − b."""
+
+    parameters = LINE
+    name, version, unit = "linear", 1, "m"
+
+    def __init__(self, design, seen):
+        self.design, self.seen = design, seen
+
+    def run(self, theta):
+        still = np.zeros((len(theta), TIME.size, 1, 3))
+        still[:, 0, 0, :2] = theta
+        return Rollout(TIME, still, ("ok",) * len(theta), np.ones(len(theta), int), 1)
+
+    def __call__(self, observation, rollout):
+        left = rollout.position[:, 0, 0, :2] @ self.design.T - self.seen
+        return Score(np.sqrt(np.mean(left**2, axis=1)), "m", residual=left)
+
+
+@pytest.mark.parametrize("x", [0.01, 0.4])
+def test_an_interval_is_that_of_fits_without_one_second_each(x):
+    """Of a model that is linear, also where a parameter is so near its bound that differences go to one side only."""
+    random = np.random.default_rng(0)
+    design, noise = random.normal(size=(TIME.size, 2)), 0.01 * random.normal(size=TIME.size)
+    design[:, 0] *= 5
+    noise -= design @ np.linalg.lstsq(design, noise, rcond=None)[0]
+    truth = np.array([x, 2.0])
+    both = Linear(design, design @ truth + noise)
+    low, high, condition = intervals([dataclasses.replace(trial(random), simulation=both, metric=both)], LINE, truth)
+    blocks = np.array_split(np.arange(TIME.size), 12)
+    fits = [np.linalg.lstsq(np.delete(design, k, 0), np.delete(both.seen, k), rcond=None)[0] for k in blocks]
+    half = student_t.ppf(0.975, 11) * np.sqrt(11 / 12 * np.sum((np.array(fits) - truth) ** 2, axis=0))
+    assert 0 < half[0] < 0.01
+    np.testing.assert_allclose(high, truth + half)
+    np.testing.assert_allclose(low, truth - half)
+    assert condition == pytest.approx(np.linalg.cond(design * [1.0, 4.0]))  # of the scaled ranges
+
+
+def test_squares_are_means_over_recordings_of_means_over_their_rows():
+    random = np.random.default_rng(2)
+    left = [random.normal(size=rows) for rows in (6, 60)]
+    both = [Linear(np.zeros((len(seen), 2)), seen) for seen in left]
+    trials = [dataclasses.replace(trial(random), simulation=one, metric=one) for one in both]
+    (residual,) = evaluate(trials, np.array([[0.5, 0.5]]))[0].residual
+    assert residual @ residual == pytest.approx(np.mean([np.mean(seen**2) for seen in left]))
 
 
 WIDTH = ParameterSpace((Parameter("width", "w", "m", (0.05, 0.15), "linear", 0.1, "radius of a drape", "toy"),))
@@ -274,6 +335,19 @@ def test_an_optimizer_may_use_its_array_again():
     np.testing.assert_array_equal(fit.best, sets[1])
 
 
+def test_a_look_around_lasts_until_the_search_has_a_start():
+    class Looking(Reused):
+        start = None
+
+        def tell(self, theta, evaluation):
+            self.start = TRUTH if len(self.sets) < 3 else None
+
+    looking = Looking(*[(3.0, 0.0)] * 5)
+    fit = calibrate([trial(np.random.default_rng(0))], looking, SPACE, bounded=False)
+    assert (fit.looked, fit.evaluations) == (3, 5)
+    np.testing.assert_array_equal(fit.start, TRUTH)
+
+
 @pytest.mark.parametrize(
     ("asked", "said"),
     [
@@ -420,6 +494,21 @@ def test_an_error_s_interval_covers_what_it_says(kept, seconds):
     assert ((found[:, 0] <= 10.0) & (found[:, 1] >= 10.0)).mean() >= 0.9
     if 2 <= seconds <= 5:
         assert np.median(found[:, 1] - found[:, 0]) < 3.0
+
+
+@pytest.mark.parametrize(("seconds", "blocks"), [(1.58, 2), (1.62, 3), (3.4, 3), (3.6, 4), (20.0, 6)])
+def test_a_trace_has_a_block_a_second_with_the_time_of_its_last_frame(seconds, blocks):
+    errors = 10 + np.random.default_rng(1).random(40)
+    means = [part.mean() for part in np.array_split(errors, blocks)]
+    half = student_t.ppf(0.975, blocks - 1) * np.std(means, ddof=1) / blocks**0.5
+    assert traced(errors, seconds) == pytest.approx((errors.mean() - half, errors.mean() + half))
+
+
+@pytest.mark.parametrize(("apart", "told"), [(1e-3, True), (1e-7, False)])
+def test_two_parameters_that_do_the_same_but_for_next_to_nothing_are_not_told_apart(apart, told):
+    column = np.random.default_rng(1).normal(size=(60, 3))
+    jacobian = np.stack([column[:, 0], column[:, 0] + apart * column[:, 1], column[:, 2]], axis=1)
+    assert undetermined(jacobian.T @ jacobian).tolist() == [not told, not told, False]
 
 
 def test_of_a_single_frame_no_interval_is_known():

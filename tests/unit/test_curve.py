@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import h5netcdf.legacyapi
 import numpy as np
 import pytest
 
 from clothbench import ClothbenchError, Curve, read_curve, read_recording, write_curve
+from clothbench.datasets.knit_uniaxial_gatech import Swatch, apart, curve_of, stray
 from clothbench.recordings.curve import last_rise
 from clothbench.recordings.kinds import read_any
 
@@ -114,3 +116,34 @@ def test_what_is_said_to_be_loading_does_not_go_back_before_it_is_largest():
     stray = up.copy()
     stray[90] = 1.0
     assert last_rise(stray) == slice(0, 200)
+
+
+def film(distance: np.ndarray, force: np.ndarray) -> dict:
+    """A video of a swatch whose lower clamp is so many pixels (M,) below the upper one."""
+    track = np.zeros((7, 2, len(force)))
+    for point, share in zip((6, 3, 2, 5), (0.0, 0.3, 0.6, 1.0), strict=True):
+        track[point, 1] = 10 + share * distance
+    return {"forces": force, "traj": track, "clampSize": 160.0, "fabricSize": 400.0}
+
+
+def test_a_swatch_s_length_is_the_median_of_its_first_frames():
+    distance = np.concatenate([[190.0, 200.0, 200.0, 200.0, 230.0], np.linspace(200, 300, 60)])
+    swatch = Swatch(Path("lab/outputData_Acrylic Yarn Rib X.h5"), "acrylic", "rib", "course")
+    curve, dropped = curve_of(swatch, 1, film(distance, np.linspace(0, 9, 65)), "file")
+    assert dropped == 0
+    np.testing.assert_allclose(curve.stretch, distance / 200)
+    assert curve.notes["width_over_length"] == "2.0000"
+
+
+def test_a_reading_stands_alone_that_is_far_from_its_neighbours_beside_their_size():
+    """From 1.5 N on, and from a quarter of what is usual where that is more."""
+    for usual, off, alone in ((2.0, 1.4, False), (2.0, 1.6, True), (20.0, 4.9, False), (20.0, -5.1, True)):
+        force = np.full(100, usual)
+        force[50] += off
+        assert np.flatnonzero(apart(force)).tolist() == ([50] if alone else [])
+
+
+def test_the_noise_of_readings_is_told_about_the_median_of_five():
+    force = np.full(50, 2.0)
+    force[[10, 20, 30, 40]] += 0.5 * np.array([1, -1, 1, -1])
+    assert stray(force) == pytest.approx((4 * 0.5**2 / 50) ** 0.5)

@@ -22,6 +22,14 @@ CAMERA = Camera.looking_at(np.array([0.0, -1.0, 0.8]), np.array([0.0, 0.0, 0.8])
 TIME = np.arange(6) / 20.0
 
 
+HELD_AT, HELD = np.array([[0.0, 0.0], [0.3, 0.0]]), np.array([[0.0, 0.0, 1.0], [0.3, 0.0, 1.0]])
+
+
+def grips_at(position: np.ndarray) -> GripPath:
+    """Grips (G, 3) m that stay where they are."""
+    return GripPath(TIME, HELD_AT[: len(position)], np.tile(position, (len(TIME), 1, 1)))
+
+
 def images(**changes) -> DepthImages:
     depth = np.full((6, 40, 48), 1000, np.uint16)
     depth[:, :3] = 0
@@ -81,6 +89,16 @@ def frames(**changes):
         ({"colour": Colour(TIME, np.zeros((6, 20, 24, 3), np.uint8))}, "registered to the depth"),
         ({"grips": GripPath(TIME, np.array([[0.0, 0.0]]), np.full((6, 1, 3), np.nan))}, "not finite"),
         ({"grips": GripPath(TIME, np.array([[0.9, 0.0]]), np.zeros((6, 1, 3)))}, "expected inside the 0.3 m × 0.4 m"),
+        (
+            {"grips": grips_at(1e3 * HELD)},
+            "'grip_position': found grips 300 m apart in the middle of all",
+        ),
+        ({"grips": grips_at(1e3 * HELD[:1])}, "'grip_position': found grips 999.2"),
+        ({"camera": dataclasses.replace(CAMERA, translation=1e3 * CAMERA.translation)}, "of that; are these, or the"),
+        (
+            {"grips": GripPath(np.r_[np.arange(9), 500.0, 501] / 100, HELD_AT, np.tile(HELD, (11, 1, 1)))},
+            "'grip_time': found none from 0.08 to 5 s, where 0.01 s between stamps are usual, and 33% of the frames",
+        ),
         ({"grips": GripPath(TIME + 7, np.array([[0.0, 0.0]]), np.zeros((6, 1, 3)))}, "covers 0% of the frames"),
     ],
 )

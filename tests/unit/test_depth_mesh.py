@@ -100,6 +100,15 @@ def test_without_grips_and_colour_the_outline_tells():
     assert np.nanmedian(away) < 5e-3
 
 
+@pytest.mark.parametrize(
+    "harm", [{"depth_step": 2e-3}, {"cloth_width": 0.15, "cloth_height": 0.2}, {"cloth_width": 0.2}]
+)
+def test_without_grips_a_sheet_that_is_too_large_is_refused(harm):
+    images, far = dataclasses.replace(filmed(grips=False, blue=False), **harm), 1400 * harm.get("depth_step", 1e-3)
+    with pytest.raises(ClothbenchError, match=r"^swing: found a sheet of 0.\d+ × 0.\d+ m in 8 of 8 .*; is depth_step"):
+        tracker(far=far).track(images)
+
+
 def test_what_is_hidden_stays_unseen_and_the_rest_keeps_its_labels():
     images = filmed(hidden=0.3)
     away, material = errors(images)

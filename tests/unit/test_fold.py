@@ -7,7 +7,7 @@ from clothbench_models.kirchhoff_love import KirchhoffLove
 from clothbench_optimizers.iterative_least_squares import IterativeLeastSquares
 
 from clothbench import ClothbenchError, Observation, Rollout
-from clothbench.core.folding import circular_path, triangular_path
+from clothbench.core.folding import FoldState, circular_path, geometric_path, triangular_path
 from clothbench.engine.leaderboard import leaderboard_row
 from clothbench.engine.run import run_cell
 from clothbench.engine.store import Store
@@ -67,6 +67,23 @@ def test_phase_one_lies_between_the_triangular_and_the_circular_path():
         assert (np.diff(x) < 0).all()
         assert triangular_path(1.0, height) < x[-1]
         assert x[0] < circular_path(1.0, height) + 1e-3
+
+
+def test_a_geometric_path_is_a_half_circle_or_two_sides_of_a_triangle():
+    """Up to the middle of the way; an end that is at half the strip's length is above its middle."""
+    share = np.linspace(0.0, 0.5, 7)
+    for name, path in (("circular", circular_path), ("triangular", triangular_path)):
+        x, z = geometric_path(name, 1.2, share).T
+        np.testing.assert_allclose(path(1.2, z), x, atol=1e-12)
+        np.testing.assert_allclose([x[0], z[0], x[-1], z[-1]], [1.2, 0.0, 0.6, 0.6], atol=1e-12)
+    x, z = geometric_path("circular", 1.2, share).T
+    np.testing.assert_allclose((x - 0.6) ** 2 + z**2, 0.36)
+
+
+def test_friction_has_no_sign():
+    """A desk holds a strip that is pushed as one that is pulled."""
+    state = FoldState(np.zeros((2, 3)), np.zeros((2, 4, 2)), np.array([0.4, -0.4]), np.array([2.0, 1.0]), ("ok", "ok"))
+    assert state.friction.tolist() == [0.2, 0.4]
 
 
 def test_the_strip_that_is_held_where_it_wants_to_be_pulls_at_nothing():

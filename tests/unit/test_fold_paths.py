@@ -126,6 +126,17 @@ def test_a_sheet_is_led_from_rest_to_rest_and_lies_where_the_strip_does():
     assert world.grips_at(world.times[-1:])[0, :, 0] == pytest.approx(0.0, abs=1e-9)
 
 
+def test_an_edge_of_thick_cloth_comes_down_on_the_lower_layer():
+    """By the thickness above the desk where it lands, and from the desk itself, where it sets out."""
+    places = np.array([[0.3, 0.2], [0.0, 0.0]])
+    thick, thin = (scene(cell(length=0.5, nodes=11, width=0.2, thickness=h), places) for h in (0.02, 0.0))
+    z, through = thick.grip_position[:, 0, 2], thin.grip_position[:, 0, 2]
+    assert (z[0], z[-1], through[-1]) == pytest.approx((0.0, 0.02, 0.0), abs=1e-9)
+    assert (z >= through).all()
+    high = through > 0.02
+    np.testing.assert_allclose(z[high], through[high])
+
+
 @pytest.mark.parametrize("way", ["triangular", "circular"])
 def test_a_geometric_path_sets_out_at_the_lift_and_passes_the_corner(way):
     places = geometric(cell(way, length=0.5, lift=0.01))

@@ -36,6 +36,13 @@ def test_nearest_and_knee_are_different_choices():
     assert chosen(np.full((3, 2), np.nan), np.array([np.nan, 3.0, 2.0]), "knee") == 2
 
 
+def test_the_knee_lies_farthest_below_the_line_between_the_extremes():
+    """(0.05, 0.5) by 0.45/√2, (0.45, 0.45) by 0.1/√2, whatever the units."""
+    rows = np.array([[0.0, 1.0], [0.05, 0.5], [0.45, 0.45], [1.0, 0.0]])
+    for scale, shift in (([1.0, 1.0], 0.0), ([1e3, 1e-3], 0.0), ([1.0, 20.0], 5.0)):
+        assert chosen(shift + rows * scale, np.ones(4), "knee") == 1
+
+
 def test_the_nearest_of_several_recordings_is_on_the_front():
     """Two recordings, two evaluations: the first has the less mean of roots of squares, the second both objectives."""
     each = np.array([[[1.0, 1.0], [0.0, 1.9]], [[1.0, 1.0], [1.9, 0.0]]])

@@ -206,6 +206,20 @@ def test_a_p_value_is_no_smaller_than_the_test_can_tell():
     assert "p ≤ 1/200; best in 3/3 leave-one-out rounds" in page_html(verdict("attributed", EFFECT), rows())
 
 
+@pytest.mark.parametrize(("drawn", "held", "said"), [
+    (True, ["b"], "No recording states a split; which of them are held out was drawn with seed 3."),
+    (True, [], "No recording states a split; nothing is held out."),
+    (False, ["b"], ""),
+    (None, ["b"], ""),  # of a verdict that was kept before it was told
+])  # fmt: skip
+def test_a_split_that_no_recording_states_is_told_on_the_page(drawn, held, said):
+    settings = {"bounds": {}, "resolution": 9} | ({} if drawn is None else {"split_by_seed": drawn})
+    found = verdict("complete", seed=3, settings=settings, recordings={"fit": ["a"], "held_out": held})
+    page = page_html(found, NOTHING)
+    assert ("states a split" in page) == bool(said)
+    assert said in page
+
+
 def test_every_family_of_effects_has_a_picture_and_no_other():
     assert set(DRAWINGS) == set(EFFECT_FAMILIES)
     for family in EFFECT_FAMILIES:

@@ -112,7 +112,8 @@ def test_motions_keep_to_what_the_robot_can_and_end_where_they_began():
             assert np.linalg.norm(path - path[0], axis=-1).max() <= 0.1 + 1e-9
             end = round((duration + RISE) * RATE)
             assert path[end:] == pytest.approx(np.repeat(path[:1], len(path[end:]), axis=0), abs=1e-9)
-            assert fastest(path[: end + 1])[0] <= one.speed + 1e-9
+            assert one.fastest(duration) == fastest(path)
+    assert any(np.ptp([one.fastest(duration) for duration in one.durations]) > 0 for one in offered)
 
 
 def test_a_motion_goes_the_way_it_is_called():

@@ -4,10 +4,12 @@ import dataclasses
 
 import numpy as np
 import pytest
-from clothbench_trackers.laser_profile import LaserProfile, in_plane
+from clothbench_trackers.laser_profile import LaserProfile, in_plane, scatter
 from scipy.spatial import cKDTree
 
 from clothbench import ClothbenchError, LaserImages, read_laser, write_laser
+from clothbench.core.optional import kinds_read
+from clothbench.estimation.watched import require_readable
 from clothbench.plugins import discovery
 from clothbench.recordings.kinds import read_any
 from clothbench.studies.folding.laser_camera import rendered, upper_side
@@ -81,6 +83,15 @@ def test_of_a_line_too_short_to_judge_nobody_knows_the_noise(images):
     assert np.isnan(seen.sigma)
 
 
+def test_the_noise_of_a_line_has_two_degrees_of_freedom_less_than_points():
+    """Of 45 neighbours that lie 0.1 mm to either side in turn, about the straight line through them."""
+    along = np.linspace(0.0, 0.2, 201)
+    aside = 1e-4 * (-1.0) ** np.arange(201)
+    points = np.stack([along, 0 * along, 0.5 * along], axis=1) + aside[:, None] * np.array([-0.5, 0, 1]) / 1.25**0.5
+    assert scatter(points) == pytest.approx(1e-4 * np.sqrt((45 - 1 / 45) / 43), rel=1e-4)
+    assert np.isnan(scatter(points[:44]))
+
+
 def test_a_file_gives_what_the_images_gave(images, tmp_path):
     path = write_laser(images, tmp_path / "hook.nc")
     again = read_laser(path)
@@ -105,6 +116,16 @@ def test_a_file_gives_what_the_images_gave(images, tmp_path):
 def test_bad_images_are_refused_in_one_line(images, change, fault):
     with pytest.raises(ClothbenchError, match=fault):
         dataclasses.replace(images, **change)
+
+
+def test_what_it_reads_is_said_so_that_nobody_is_sent_to_it_in_vain(recording):
+    assert kinds_read(LaserProfile) == {"laser"}
+    with pytest.raises(ClothbenchError, match=r"does not read; take tracker=markers or stripes$"):
+        require_readable(recording, "depth_mesh", discovery.catalogue())
+    with pytest.raises(ClothbenchError, match="found kind 'nodes', which the tracker 'laser_profile' does not read"):
+        require_readable(recording, "laser_profile", discovery.catalogue())
+    (outcome,) = check_tracker(LaserProfile, only=["keeps what it offers"])
+    assert outcome.skipped == "shows no steps"
 
 
 def test_bad_options_are_refused():

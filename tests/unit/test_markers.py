@@ -171,7 +171,8 @@ def test_csv_with_semicolons_and_decimal_commas_is_read_as_any_other(tmp_path):
     european = [line.replace(",", ";").replace(".", ",") for line in lines]
     dots = [line.replace(",", ";") for line in lines]
     whole = Markers(material=MATERIAL).track(write(tmp_path / "run.csv", lines))
-    for other in (european, dots, ["# unit: mm;;;", *european[1:]]):
+    rated = ["# rate: 100,0", *european]
+    for other in (european, dots, ["# unit: mm;;;", *european[1:]], rated):
         seen = Markers(material=MATERIAL).track(write(tmp_path / "other.csv", other))
         assert np.array_equal(seen.position, whole.position)
         assert np.array_equal(seen.time, whole.time)
@@ -509,6 +510,41 @@ def test_gaps_in_nodes_stay_and_gaps_in_grips_need_leave(tmp_path):
     np.testing.assert_allclose(made.grip_time, np.delete(time, [0, 5, 11]))
     np.testing.assert_allclose(made.time, time[1:-1])  # what the grip did before and after is not known
     assert np.argwhere(~made.visible).tolist() == [[5, 0]]
+
+
+@pytest.mark.parametrize(("is_up", "told"), [("y", "z"), ("x", "z"), ("z", "y"), ("y", "x"), ("z", "x")])
+def test_cloth_that_hangs_along_another_axis_is_refused_with_the_one_that_is_up(tmp_path, is_up, told):
+    time, position = run()
+    position[:, 0] = [0.1, 0.2, 1.0]
+    position[:, 1:3] = [[0.1, 0.2, 0.9], [0.12, 0.2, 0.8]] + 0.01 * np.sin(60 * time)[:, None, None]
+    position[3, 1] = np.nan
+    path = write(tmp_path / "run.csv", csv_lines(time, position @ UP[is_up]))
+    with pytest.raises(
+        ClothbenchError,
+        match=rf"^{re.escape(str(path))}: setting 'up': found '{told}', and the cloth beside its grips, along {is_up}, "
+        rf"expected cloth below its grips; set up='{is_up}'; where it is held level, say so by frame=np.eye\(4\)$",
+    ):
+        record(path, up=told)
+    np.testing.assert_allclose(record(path, up=is_up).position, position[:, 1:3], atol=1e-8)
+    assert record(path, up=told, frame=np.eye(4)).position.shape == (12, 2, 3)
+    assert record(path, up=told, about={"obstacles": (Obstacle("plane"),)}).obstacles
+    down = tuple(-9.81 * UP[told] @ UP[is_up].T[:, 2])
+    assert record(path, up=told, about={"gravity": down}).gravity == down
+    upside = write(tmp_path / "upside.csv", csv_lines(time, -position @ UP[is_up]))
+    with pytest.raises(ClothbenchError, match=rf"along {is_up}, expected cloth below its grips; turn it by 'frame'; "):
+        record(upside, up=told)
+
+
+@pytest.mark.parametrize("missing", [slice(5, 6), slice(4, 8)])
+def test_frames_that_are_missing_from_the_file_are_gaps_of_the_grips_too(tmp_path, missing):
+    time, position = (np.delete(each, missing, axis=0) for each in run())
+    path = write(tmp_path / "run.csv", csv_lines(time, position))
+    gap = np.diff(time).max()
+    with pytest.raises(ClothbenchError, match=rf"none for {gap:g} s after .*'fill_gaps_up_to'"):
+        record(path)
+    np.testing.assert_allclose(record(path, fill_gaps_up_to=gap).grip_time, time)
+    shaken = run()[0] + np.tile([0.0, 0.003], 6)  # of 0.01 s
+    record(write(tmp_path / "shaken.csv", csv_lines(shaken, run()[1])))
 
 
 @pytest.mark.parametrize(

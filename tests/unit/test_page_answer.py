@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import ttest_ind
 
 from clothbench.core.observation import Observation
 from clothbench.core.protocols import Score
@@ -26,8 +27,18 @@ from clothbench.studies.calibration.estimates import contained, estimates
 from clothbench.studies.calibration.leaderboard import leaderboard, same_in_all
 from clothbench.studies.calibration.matrix import HOTTEST, one_way, several_ways
 from clothbench.studies.calibration.page import told_by_unit
-from clothbench.studies.calibration.parameters_page import group_by_key, model_table, strip_of, truth_said
-from clothbench.studies.calibration.ranking import best_of, overall, standings, way_of
+from clothbench.studies.calibration.parameters_page import exact, group_by_key, model_table, strip_of, truth_said
+from clothbench.studies.calibration.parameters_page import numbers as parameter_numbers
+from clothbench.studies.calibration.ranking import (
+    best_cell,
+    best_of,
+    errors_of,
+    once,
+    overall,
+    standings,
+    unpaired_includes_zero,
+    way_of,
+)
 from clothbench.studies.calibration.tables import error_table
 from clothbench.studies.calibration.tables import overall as told_overall
 from clothbench.studies.calibration.words import listed, size
@@ -138,6 +149,23 @@ def test_of_two_recordings_their_own_intervals_decide():
     assert best_of(standings(far, "fold")["linen"]) == ["a"]
     half = [far[0], {**far[1], "low": None, "high": None}]  # b may be anywhere
     assert best_of(standings(half, "fold")["linen"]) == ["a", "b"]
+
+
+@pytest.mark.parametrize(("apart", "best"), [(0.59, ["a", "b"]), (0.61, ["a"])])
+def test_the_mean_of_two_recordings_is_surer_than_either(apart, best):
+    """Of ±0.6 each, four values in a difference of two means: ±√(4 · 0.6²)/2."""
+    values = {"a": (1.0, 2.0), "b": (1.0 + apart, 2.0 + apart)}
+    some = [row(m, "linen", f"x{n}", v, low=v - 0.6, high=v + 0.6) for m in "ab" for n, v in enumerate(values[m])]
+    assert best_of(standings(some, "fold")["linen"]) == best
+
+
+def test_means_of_seeds_are_compared_by_welchs_test():
+    one, other = np.array([-1.0, 0.2, 0.8]), np.array([0.05, -0.1, 0.0, 0.1, -0.05, 0.1, -0.1, 0.0])
+    apart = np.linspace(0.0, 4.0, 401)
+    found = [unpaired_includes_zero(one, other + by) for by in apart]
+    assert found == [ttest_ind(one, other + by, equal_var=False).pvalue >= 0.05 for by in apart]
+    assert True in found
+    assert False in found
 
 
 def test_seeds_are_repetitions_of_one_way():
@@ -421,6 +449,7 @@ def test_a_search_that_still_falls_asks_for_more():
     steady, falling = np.array([9.0] + [5.0] * 19), np.linspace(9, 5, 20)
     assert late_fall(steady) == 0
     assert late_fall(falling) > 0.1
+    assert late_fall(np.array([np.inf] * 15 + [5.0] * 5)) == 1.0  # until then nothing had come to a number
     some = [row("a", "linen", "x", 1.0, evaluations=20), row("b", "satin", "x", 1.0, evaluations=20)]
     value, said = settled(some, way_of(some), {"a-linen": steady, "b-satin": falling})
     assert value == "20 evaluations"
@@ -476,6 +505,35 @@ def test_a_recording_that_several_fits_hold_out_counts_once():
     assert ", 2 recordings, " in what_was_run(named_alike)
 
 
+@pytest.mark.parametrize(("first", "second", "middle"), [(1.0, 4.0, 2.0), (0.0, 4.0, 2.0), (3.0, 3.0, 3.0)])
+def test_a_recording_of_several_cases_has_the_geometric_mean_of_its_errors(first, second, middle):
+    some = [row("a", case, "z", value) for case, value in (("x", first), ("y", second))]
+    found = standings(some, "fold")
+    assert errors_of(case["a"] for case in found.values()) == {"z": pytest.approx(middle)}
+
+
+def test_of_one_seed_the_last_cell_with_a_number_counts():
+    some = [
+        row("a", "linen", "x", value, key=key, finished=f"2026-01-0{day}")
+        for key, value, day in (("first", 1.0, 1), ("again", 2.0, 2), ("lost", None, 3))
+    ]
+    assert [r["key"] for r in once(some)] == ["again"]
+    assert [r["key"] for r in once(some[::-1])] == ["again"]
+
+
+def test_of_several_seeds_the_cell_that_fits_best_is_shown():
+    """By what it was fitted by, over all that was fitted together."""
+    some = [row("a", "linen", None, value, split="fit", key=key) for key, value in (("p", 3.0), ("q", 1.0))]
+    some += [
+        row("a", "linen", None, 0.1, split="fit", key="r", metric="fold_count"),
+        row("a", "linen", None, 0.2, split="held_out", key="s"),
+        row("a", "linen", "x", 0.3, split="fit", key="t"),
+        row("a", "linen", None, None, split="fit", key="u"),
+    ]
+    assert best_cell(some) == "q"
+    assert best_cell(some[-1:]) == "u"
+
+
 def test_what_is_alike_in_all_lines_is_said_once():
     some = rows_of({"a": [1.0, 2.0]})
     assert same_in_all(some) == "model a, optimizer ga, seed 0"
@@ -519,6 +577,24 @@ def test_fits_that_searched_other_ranges_are_drawn_on_one_axis():
     shown = model_table("m", rows, group_by_key(estimates(some)), lambda r: r["case"])
     assert [(h["lower"], h["upper"]) for h in shown["heads"]] == [("1.00", "1000")]
     assert [strips[0].dot for _, _, strips in shown["lines"]] == pytest.approx([15.9, 82.6])
+
+
+@pytest.mark.parametrize(("conditions", "said"), [
+    ((None,), ""), ((35.0,), "Condition of the fit: 35;"),
+    ((35.0, 4512.0, None), "Condition of the fits: 35 … 4.5e+03;"),
+    ((35.0, np.inf), "Condition of the fits: 35 … infinite;"),
+])  # fmt: skip
+def test_the_condition_of_fits_is_told_below_their_parameters(conditions, said):
+    keys = [f"k{i}" for i in range(len(conditions))]
+    some = [parameter(key=key, condition=one) for key, one in zip(keys, conditions, strict=True)]
+    rows = [row("m", key, None, 1.0, key=key) for key in keys]
+    found = group_by_key(estimates(some))
+    shown = model_table("m", rows, found, lambda r: r["case"])["condition"]
+    assert shown.startswith(said)
+    assert bool(shown) == bool(said)
+    assert ("above a thousand some of the parameters move together freely." in shown) == bool(said)
+    listed = parameter_numbers(rows, found, lambda r: r["case"])
+    assert [f">{exact(one)}</td>" in listed for one in conditions if one] == [True for one in conditions if one]
 
 
 def test_a_truth_outside_of_its_interval_is_marked_and_counted():

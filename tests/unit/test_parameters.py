@@ -25,6 +25,9 @@ def test_points_outside_the_cube_land_on_its_face():
 
 def test_at_bound():
     assert SPACE.at_bound(np.array([100.0, 0.5])).tolist() == [True, False]
+    near, far = 100 ** (0.9 * 1e-3), 100 ** (1.1 * 1e-3)  # by so much of the scaled range
+    assert SPACE.at_bound(np.array([[near, -0.9964], [100 / near, 2.9964]])).all()
+    assert not SPACE.at_bound(np.array([[far, -0.9956], [100 / far, 2.9956]])).any()
 
 
 def test_prefix_join_and_lookup():

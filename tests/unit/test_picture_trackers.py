@@ -271,6 +271,8 @@ def test_pixels_are_those_of_the_camera_its_lens_included():
     score = catalogue().make("metrics", "node_error", unit="px")(o, run)
     assert score.value[0] == pytest.approx(off.mean())
     assert (score.residual**2).sum() == pytest.approx((off**2).sum())
+    depth = lens.project(seen)[1]  # a pixel is as large as the square root of its area, which is higher than wide
+    np.testing.assert_allclose(o.pixel_size(), depth / (flat.CAMERA.matrix[0, 0] * 1.4**0.5))
 
 
 def test_what_needs_depth_refuses_a_picture():

@@ -82,6 +82,13 @@ def moved(frame: int, point: int, *place: float) -> np.ndarray:
         ({"grip_material": GRIPS + 0.5}, "variable 'grip_material': found (0.5, 0.5) m at row 0"),
         ({"grip_material": GRIPS[:0], "grip_position": np.zeros((6, 0, 3))}, "found no entries along 'grip'"),
         ({"grip_time": TIME + 0.2}, "variable 'grip_time': found 0.2..0.45 s"),
+        (
+            {
+                "grip_time": np.r_[np.arange(9), 500, 501] / 100,
+                "grip_position": np.tile(hung().grip_position[:1], (11, 1, 1)),
+            },
+            "variable 'grip_time': found none from 0.08 to 5 s, where 0.01 s",
+        ),
         ({"cloth_width": 300.0}, "attribute 'cloth_width': found 300 m"),
         ({"areal_density": "150"}, "attribute 'areal_density': found '150', expected a number"),
         ({"areal_density": -1.0}, "attribute 'areal_density': found -1.0"),

@@ -233,6 +233,17 @@ def test_a_trial_that_was_fitted_again_counts_once_in_the_sum():
     assert transfers([r for r in rows if r["case"].endswith("-1")] + one, starts) == []
 
 
+def test_a_trial_that_was_lost_when_it_was_fitted_again_counts_as_before():
+    rows, starts = table_three()
+    again = [{**r, "key": r["key"] + "+", "finished": "later"} for r in rows]
+    lost = [{**r, "value": None if r["recording"] == "satin/waving-2" else r["value"]} for r in again]
+    found = {t.case: t for t in transfers(rows + lost, starts)}
+    assert {case: t.key for case, t in found.items()} == {
+        "satin/waving-1": "satin1", "satin/waving-2": "satin2", "linen/waving-1": "linen1+", "linen/waving-2": "linen2+"
+    }  # fmt: skip
+    assert found["satin/waving-2"].total == pytest.approx(292.7)
+
+
 def test_settings_of_a_case_of_its_own_make_no_other_way():
     rows, starts = table_three()
     own = [{**r, "settings": r["case"][:5]} for r in rows]
@@ -255,6 +266,20 @@ def test_the_matrix_is_of_chosen_fits_and_finds_the_nearest():
     assert confusions(found, rows + again, starts) == [matrix]  # cells of the same fits that were not asked for it
     lost = [{**r, "value": None} if (r["key"], r["recorded_fabric"]) == ("satin2", "satin") else r for r in found]
     assert confusions(lost, rows, starts)[0].nearest("satin") == "linen"
+
+
+def test_fabrics_are_compared_on_the_trials_that_all_of_them_were_held_against():
+    """On the first trial satin's parameters are nearest to satin; they alone were held against the harder second."""
+    rows, starts = table_three()
+    errors = {("satin2", "satin"): (10.0, 50.0), ("linen2", "satin"): (20.0,), ("satin2", "linen"): (30.0, 30.0),
+              ("linen2", "linen"): (10.0, 20.0)}  # fmt: skip
+    found = [
+        {"key": key, "fabric": key[:5], "recorded_fabric": seen, "trial": f"waving-{n}", "unit": "px", "value": value}
+        for (key, seen), values in errors.items() for n, value in enumerate(values)
+    ]  # fmt: skip
+    (matrix,) = confusions(found, rows, starts)
+    assert matrix.error == {"linen": {"satin": 20.0, "linen": 15.0}, "satin": {"satin": 10.0, "linen": 30.0}}
+    assert matrix.right == 2
 
 
 def test_numbers_beyond_hundred_percent_are_not_spelt_out():

@@ -109,6 +109,37 @@ def test_equal_stamps_since_1970_are_equal():
     assert stamp_rounding(time - time[0]) == 1e-9
 
 
+def held_at(stamps: np.ndarray):
+    """A recording of 101 frames in ten seconds, of which the grips were told at `stamps` (K,) s."""
+    plain = swinging_recording()
+    time, shape = np.linspace(0.0, 10.0, 101), plain.position[:1]
+    return swinging_recording(
+        time=time, position=np.repeat(shape, len(time), axis=0), grip_time=stamps,
+        grip_position=np.repeat(plain.grip_position[:1], len(stamps), axis=0),
+    )  # fmt: skip
+
+
+def test_a_hole_in_the_grips_log_is_not_taken_for_grips():
+    """On a straight line across a second they would be led as nobody led them."""
+    whole = np.arange(1001) / 100
+    seen = held_at(whole[(whole <= 5.0) | (whole >= 5.65)])
+    lost = (seen.time > 5.0 + 1e-9) & (seen.time < 5.65 - 1e-9)
+    assert lost.sum() == 6
+    assert np.array_equal(seen.counts, seen.visible & ~lost[:, None])
+    for told in (whole[::100], whole[(whole <= 5.0) | (whole >= 5.45)], np.array([0.0, 10.0]), np.array([0, 0.01, 10])):
+        assert held_at(told).counts.any(axis=1).all()  # slow, short, or a path that somebody stated
+    with pytest.raises(
+        ClothbenchError, match=r"'grip_time': found none from 5 to 7 s, where 0.01 s .* 81% of the frames .* cut the"
+    ):
+        held_at(whole[(whole <= 5.0) | (whole >= 7.0)])
+
+
+def test_a_recording_is_written_through_a_link(recording, tmp_path):
+    (tmp_path / "link.nc").symlink_to(tmp_path / "a.nc")
+    assert read_recording(write_recording(recording, tmp_path / "link.nc")).hash == recording.hash
+    assert (tmp_path / "link.nc").is_symlink()
+
+
 def test_a_failed_write_leaves_the_old_file(recording, tmp_path, monkeypatch):
     path = write_recording(recording, tmp_path / "a.nc")
     before = path.read_bytes()

@@ -4,6 +4,7 @@ import dataclasses
 import json
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -16,7 +17,7 @@ from clothbench import ClothbenchError, Outlines, Rollout, Silhouettes, outline_
 from clothbench import write_silhouettes as write
 from clothbench.core.drape import RINGS, SPOKES, drape_coefficient, drape_points
 from clothbench.core.optional import textile_of
-from clothbench.datasets.cusick_drape_bdp import SHOT, Shot, convert, side_of
+from clothbench.datasets.cusick_drape_bdp import SHOT, Shot, convert, side_of, split_of
 from clothbench.engine.settings import scene_settings
 from clothbench.estimation.placements import joined
 from clothbench.recordings.kinds import read_sheet
@@ -259,6 +260,22 @@ def test_the_floor_is_what_the_fabrics_own_drapes_score(quantity, times):
     assert np.mean(floors) == pytest.approx(np.mean(scored), rel=0.2)
 
 
+def test_spreads_are_those_between_captures_and_between_outlines_of_different_specimens():
+    """Rings of two specimens, 4 mm apart in each: 10, 14, 6 and 10 mm from those of the other."""
+    rings = np.array([0.12, 0.124, 0.13, 0.134])
+    seen = Outlines(np.repeat(rings[:, None], 360, axis=1), PLATE, DISC, np.array([0, 0, 1, 1]), 1e-4, PIXEL)
+    of = DrapeTracker().track(captures_of([petals(7)]))
+    there = dataclasses.replace(
+        of, outlines=seen, time=np.arange(4.0), position=np.repeat(of.position, 4, axis=0),
+        visible=np.repeat(of.visible, 4, axis=0),
+    )  # fmt: skip
+    score = DrapeMetric(["drape_coefficient", "curve_distance"])(there, rollout([np.full(360, 0.12)]))
+    covers = 100 * (rings**2 - PLATE**2) / (DISC**2 - PLATE**2)
+    assert score.spread == pytest.approx([np.std(covers, ddof=1), 10.0])
+    less = (covers[0] - covers.mean()) / np.std(covers, ddof=1)  # simulated minus captured
+    assert score.residual[0, 0] == pytest.approx(less / 2**0.5, rel=0.02)
+
+
 def test_outlines_are_compared_after_the_best_rotation():
     """Beside every rotation tried in turn; an outline that is not known is far from none and near to none."""
     some, others = (
@@ -443,6 +460,18 @@ def test_placements_are_frames_of_one_rollout():
     assert np.array_equal(run.position[0], run.position[1])
 
 
+def test_a_member_is_as_well_as_the_worst_of_its_placements():
+    def of(position, status, steps, reasons):
+        run = Rollout(np.zeros(1), np.full((2, 1, 1, 3), position), status, np.array(steps), 4, reasons)
+        return SimpleNamespace(run=lambda theta: run)
+
+    placed = joined([of(1.0, ("ok", "ok"), [3, 4], ("", "")), of(2.0, ("timeout", "ok"), [5, 7], ("slow", ""))])
+    run = placed.run(np.zeros((2, 1)))
+    assert (run.status, run.reasons, run.nodes) == (("timeout", "ok"), ("slow", ""), 4)
+    assert run.steps.tolist() == [8, 11]  # of all placements: that is the work that was done
+    assert run.position[:, :, 0, 0].tolist() == [[1.0, 2.0]] * 2
+
+
 # --- the importer -----------------------------------------------------------------------------------------------------
 
 
@@ -464,6 +493,17 @@ def cusick(data_dir, tmp_path_factory):
 def test_a_side_is_what_the_name_says_or_the_place_among_named_captures(name, fabric, side):
     number = int(SHOT.search(name)["number"])
     assert side_of(Shot(Path(f"{name}.jpg"), fabric, 1, number, "")) == side
+
+
+@pytest.mark.parametrize(("specimens", "held_out"), [(2, None), (3, {3}), (4, {4}), (6, {5, 6}), (8, {6, 7, 8})])
+def test_the_last_third_of_the_specimens_is_held_out_with_all_its_captures(specimens, held_out):
+    shots = [Shot(Path("x.jpg"), "wool_red", s, n, "") for s in range(1, specimens + 1) for n in (1, 2, 3)]
+    found = {split: [s.sample for s in some] for split, some in split_of(shots).items()}
+    if held_out is None:
+        assert found == {"": [s.sample for s in shots]}
+    else:
+        assert found["held_out"] == sorted([*held_out] * 3)
+        assert found["fit"] == [s.sample for s in shots if s.sample not in held_out]
 
 
 def test_every_picture_is_imported_once(cusick):

@@ -97,6 +97,14 @@ def test_the_floor_is_what_noise_gives():
     assert other == pytest.approx(apart(1.5, 0.4, (1.3, 0.4)), abs=4 * drawn)
 
 
+def test_the_floor_is_higher_where_less_of_the_pattern_was_seen():
+    """Three columns of four in each frame: q has the noise of three quarters of the nodes."""
+    truth = hanging(1.3, 0.4)
+    visible = np.arange(len(TIME))[:, None] % 4 != np.arange(len(GRID)) % 4
+    whole, part = (made().floor(observed(truth, visible=seen, sigma=2e-3)) for seen in (None, visible))
+    assert part == pytest.approx(whole / 0.75**0.5, rel=0.02)
+
+
 def test_hands_that_move_first_are_left_out():
     """Driven at 0.9 Hz for 2 s, then free at 1.7 Hz."""
     time = np.arange(240) / 30.0

@@ -135,6 +135,10 @@ def test_a_run_leaves_both_histories_and_temperatures_and_can_be_done_again(clot
     parameters = pd.read_parquet(folder / "parameters.parquet")
     assert (parameters.low <= parameters.value).all()
     assert (parameters.value <= parameters.high).all()
+    assert parameters.condition.nunique() == 1  # of the one fit
+    assert parameters.condition[0] > 1
+    page = (recordings_folder.parent / "runs" / "report.html").read_text()
+    assert f"Condition of the fit: {parameters.condition[0]:.2g}; above" in page
     # Whoever checks a submission of it comes to the same parameters, and so to the same motion.
     cell, found = asked_and_fitted(Store(recordings_folder.parent / "runs"), folder.name)
     path = cell.recordings[0].file

@@ -353,6 +353,14 @@ def test_folds_are_counted_wherever_they_are():
     assert fold[1] > 0.2 * fold[2]  # which `fold` takes for another sheet
 
 
+def test_folds_are_counted_whenever_they_come():
+    changing = np.concatenate([draped(0.02, waves=3.0)[:3], draped(0.02, waves=1.0)[3:]])
+    observed = dataclasses.replace(catalogue().make("trackers", "markers").track(recording()), position=changing)
+    score = catalogue().make("metrics", "fold_count")(observed, rollout(changing[::-1]))
+    assert score.value[0] == 0.0
+    assert score.per_frame[0, 0] < 0 < score.per_frame[0, -1]
+
+
 @pytest.mark.parametrize(
     ("name", "options", "found"),
     [

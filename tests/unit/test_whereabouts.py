@@ -6,9 +6,11 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.stats import ttest_1samp
 
 from clothbench import Observation, Scene
-from clothbench.studies.improve.whereabouts import grip_phases, when, whereabouts
+from clothbench.studies.improve.settings import LOOP
+from clothbench.studies.improve.whereabouts import grip_phases, longer_than, when, where, whereabouts
 
 SIDE, RECORDINGS = 0.3, 5
 
@@ -77,10 +79,32 @@ def test_a_part_of_the_cloth_is_told():
     assert one["ratio"] == pytest.approx(2.0 / np.sqrt((72 + 9 * 4) / 81), rel=0.1)
 
 
+def test_across_is_not_down():
+    rows = where(recordings(1, lambda t, place: 2.0 if place[0] > 0.7 and place[1] < 0.3 else 1.0), 1e3, "mm")
+    assert telling(rows) == {"upper right"}
+
+
+def test_a_part_s_p_value_is_student_s_times_the_number_of_parts():
+    """Of the logarithm of its mean square over that of all of the cloth, recording by recording."""
+    seen = recordings(5, lambda t, place: 1.03 if place[0] > 0.7 and place[1] < 0.3 else 1.0)
+    rows = {row["part"]: row for row in where(seen, 1e3, "mm")}
+    down, across = (a.ravel() // 3 for a in np.indices((9, 9)))
+    mine, ratio = (down == 0) & (across == 2), []
+    for observation, _, field in seen:
+        square, count = np.square(field).sum(axis=2), 3 * observation.visible
+        ratio.append(square[:, mine].sum() / count[:, mine].sum() / (square.sum() / count.sum()))
+    expected = 9 * ttest_1samp(np.log(ratio), 0.0, alternative="greater").pvalue
+    assert 1e-6 < expected < 1
+    assert rows["upper right"]["p_value"] == pytest.approx(expected)
+    assert rows["upper right"]["ratio"] == pytest.approx(np.exp(np.mean(np.log(ratio)) / 2))
+
+
 def test_a_phase_of_the_motion_is_told():
     rows = whereabouts(recordings(2, lambda t, place: 2.0 if t > 3.0 else 1.0), 1e3, "mm")
     assert "after the grips stopped" in telling(rows)
     assert "before the grips move" not in telling(rows)
+    after = next(row for row in rows if row["part"] == "after the grips stopped")
+    assert after["p_value"] == 1 / (1 + LOOP.permutations)  # as much as chance never does
 
 
 def test_no_frame_is_in_two_phases_of_the_grips():
@@ -116,6 +140,12 @@ def test_grips_that_stand_still_for_long_pause_and_do_not_turn():
     found = phases_of_way(lambda t: np.interp(t, [0.5, 1.5, 4.5, 5.5], [0.0, 0.2, 0.2, 0.4]) * np.eye(3)[[1, 1]])
     assert found["the grips pause"] > 80
     assert found["the grips turn"] == 0
+
+
+def test_a_stretch_of_frames_lasts_as_long_as_its_stamps_say():
+    time = np.array([0.0, 0.1, 0.2, 0.3, 0.4, 0.8, 1.2, 1.6])
+    frames = np.array([True, True, True, False, True, True, False, True])
+    assert longer_than(0.3, time, frames).tolist() == [False, False, False, False, True, True, False, False]
 
 
 def test_grips_that_move_evenly_neither_speed_up_nor_slow_down():

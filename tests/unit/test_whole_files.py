@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import errno
+import os
 import shutil
 
 import pytest
 
+from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import remove_folder, whole_file, whole_files, whole_folder
 
 
@@ -63,6 +65,35 @@ def test_a_place_that_cannot_be_written_to_is_named_as_it_was_asked_for(tmp_path
             pass
         assert found.value.filename == str(place)
     assert sorted(p.name for p in tmp_path.rglob("*")) == ["file", "folder", "inside"]
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes of this system have no names")
+def test_a_pipe_is_not_replaced_and_a_link_only_where_nobody_asked_for_it(tmp_path):
+    (tmp_path / "deep").mkdir()
+    (target := tmp_path / "deep" / "cloth.xml").write_text("old")
+    os.mkfifo(pipe := tmp_path / "pipe")
+    for name, goal in (("link", target), ("dangling", tmp_path / "deep" / "none_yet"), ("to-pipe", pipe)):
+        (tmp_path / name).symlink_to(goal)
+    for place, asked in ((pipe, False), (pipe, True), (tmp_path / "to-pipe", True)):
+        with (
+            pytest.raises(ClothbenchError, match=r"pipe: found a device, pipe or socket, expected a file, or none yet"),
+            whole_file(place, asked=asked),
+        ):
+            pass
+    assert pipe.is_fifo()
+    for name in ("link", "dangling"):
+        with whole_file(tmp_path / name, asked=True) as part:
+            assert part.parent == target.parent
+            part.write_text("new")
+        assert (tmp_path / name).is_symlink()
+        assert (tmp_path / name).read_text() == "new"
+    assert target.read_text() == "new"
+    for name in ("link", "to-pipe"):
+        with whole_file(tmp_path / name) as part:
+            part.write_text("newer")
+        assert not (tmp_path / name).is_symlink()
+    assert target.read_text() == "new"
+    assert sorted(p.name for p in target.parent.iterdir()) == ["cloth.xml", "none_yet"]
 
 
 def test_a_folder_that_may_not_be_changed_is_named_when_something_is_to_be_removed_from_it(tmp_path, monkeypatch):

@@ -17,7 +17,7 @@ FAR = 30.0  # times the lower end that the upper one is, from which on a range i
 @dataclass(frozen=True)
 class Estimate:
     """One parameter of one cell. low, high: its 95 % interval, which holds the value; lower, upper: the range that was
-    searched; log: whether that is walked in powers; all in `unit`, None where not known.
+    searched; log: whether that is walked in powers; all in `unit`, None where not known; condition: of the cell's fit.
     """
 
     key: str
@@ -33,6 +33,7 @@ class Estimate:
     log: bool
     at_bound: bool
     truth: float | None
+    condition: float | None = None
 
     def place(self, value: float) -> float:
         """Where a value stands in the range that was searched, from 0 to 1."""
@@ -90,7 +91,7 @@ def _estimate(p: dict[str, Any], widest: tuple[float | None, float | None]) -> E
     low, high = contained(p["value"], p["low"], p["high"])
     return Estimate(
         p["key"], p["name"] or "–", p["symbol"], p["unit"], p["meaning"], p["value"], low, high, lower, upper, log,
-        bool(p["at_bound"]), p.get("truth"),
+        bool(p["at_bound"]), p.get("truth"), p.get("condition"),
     )  # fmt: skip
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from clothbench.display.html import group, table, text
 from clothbench.display.names import model_name
+from clothbench.display.parameters import condition_said
 from clothbench.display.section import Section
 from clothbench.display.templates import rendered
 from clothbench.engine.study import Results
@@ -95,7 +96,9 @@ def model_table(model: str, rows: Rows, found: dict[str, list[Estimate]], named:
         {"one": c, "unit": "" if c.unit == "1" else c.unit, "lower": size(c.lower), "upper": size(c.upper),
          "sure": sum(sure[c.name]), "of": len(sure[c.name])} for c in columns
     ]  # fmt: skip
-    return {"model": model, "heads": heads, "lines": lines}
+    conditions = [found[r["key"]][0].condition for r in rows]
+    said = condition_said([c for c in conditions if c is not None])
+    return {"model": model, "heads": heads, "lines": lines, "condition": said}
 
 
 def on_widest(some: Sequence[Estimate]) -> Estimate:
@@ -143,13 +146,14 @@ def truth_said(found: Sequence[Estimate], rows: Rows, named: Called) -> str:
 def numbers(rows: Rows, found: dict[str, list[Estimate]], named: Called) -> str:
     """Every estimate as a line of plain numbers, to be sorted and taken along."""
     head = ["fit", "model", "parameter", "symbol", "unit", "value", "low", "high", "searched from", "to", "truth",
-            "not determined", "meaning"]  # fmt: skip
+            "condition of the fit", "not determined", "meaning"]  # fmt: skip
     body = [
         [text(named(r)), text(model_name(r)), text(e.name), text(e.symbol), text(e.unit),
-         *(exact(v) for v in (e.value, e.low, e.high, e.lower, e.upper, e.truth)), text(e.why_not), text(e.meaning)]
+         *(exact(v) for v in (e.value, e.low, e.high, e.lower, e.upper, e.truth, e.condition)), text(e.why_not),
+         text(e.meaning)]
         for r in rows for e in found[r["key"]]
     ]  # fmt: skip
-    return table(head, body, numeric=set(range(5, 11)))
+    return table(head, body, numeric=set(range(5, 12)))
 
 
 def exact(value: float | None) -> str:

@@ -223,6 +223,7 @@ def _parameters_of(bench: Bench, fit: Fit) -> list[dict[str, Any]]:
             "upper": p.bounds[1],
             "scale": p.scale,
             "meaning": p.meaning,
+            "condition": None if np.isnan(fit.condition) else fit.condition,  # infinite where nothing is determined
             "key": bench.cell.key,
         }
         for i, p in enumerate(fit.space)

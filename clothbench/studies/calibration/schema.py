@@ -7,11 +7,12 @@ import pyarrow as pa
 _text, _number, _whole = pa.string(), pa.float64(), pa.int64()
 
 # Best values with intervals. start: where the search set out from; truth: what stand-in recordings state; lower, upper:
-# the range that was searched, on a "linear" or "log" scale.
+# the range that was searched, on a "linear" or "log" scale; condition: of the fit, the same in each of its rows, null
+# where the metric has no residuals.
 PARAMETER = {
     "name": _text, "symbol": _text, "unit": _text, "value": _number, "low": _number, "high": _number,
     "at_bound": pa.bool_(), "start": _number, "truth": _number, "lower": _number,
-    "upper": _number, "scale": _text, "meaning": _text, "key": _text,
+    "upper": _number, "scale": _text, "meaning": _text, "condition": _number, "key": _text,
 }  # fmt: skip
 # The cell itself as JSON: with it a twin of its fit is made (`clothbench export`).
 QUESTION = {"question": _text, "key": _text}

@@ -76,7 +76,8 @@ class Finding:
     description: of what is missing, where it has no name; None where it has one, or nothing could be told;
     own: by effect and recording, those held out included, the amounts that are each recording's own;
     timed_out: whether a further round was not begun for want of time;
-    settings: `bounds` of the search by parameter, and `resolution` of the mesh, None where there is none.
+    settings: `bounds` of the search by parameter, `resolution` of the mesh, None where there is none, and
+        `split_by_seed`, whether no recording stated a split.
     """
 
     key: str

@@ -11,7 +11,7 @@ from markupsafe import Markup
 from clothbench.display.html import below, group, interval, table, text, unit
 from clothbench.display.names import duration
 from clothbench.display.page import whole_page
-from clothbench.display.parameters import fitted_value
+from clothbench.display.parameters import condition_said, fitted_value
 from clothbench.display.section import Section
 from clothbench.display.templates import rendered
 from clothbench.engine.study import Results
@@ -23,7 +23,18 @@ from clothbench.studies.improve.drawings import drawing
 from clothbench.studies.improve.missing_page import balance_section, block, description_section, whereabouts_section
 from clothbench.studies.improve.settings import LOOP
 from clothbench.studies.improve.style import BLOCKS, STYLE
-from clothbench.studies.improve.words import beyond, chance, errors_of, limits, p_is, remains, sentence, sham, size
+from clothbench.studies.improve.words import (
+    beyond,
+    chance,
+    drawn,
+    errors_of,
+    limits,
+    p_is,
+    remains,
+    sentence,
+    sham,
+    size,
+)
 
 Rows = Sequence[dict[str, Any]]
 Tables = Mapping[str, Rows]
@@ -145,7 +156,8 @@ def verdict_box(found: Mapping[str, Any]) -> str:
     pill = f'<span class="pill {SURE.get(found["verdict"], "note")}">{text(found["verdict"])}</span>'
     hint = f'<p class="soft">Hint: {text(found["hint"])}.</p>' if found["hint"] else ""
     control = f'<p class="soft">{said}</p>' if (said := sham(errors_of(found))) else ""
-    return f'<div class="verdict">{pill}<p>{sentence(found)}</p>{control}{hint}</div>'
+    split = f'<p class="soft">{said}</p>' if (said := drawn(found)) else ""
+    return f'<div class="verdict">{pill}<p>{sentence(found)}</p>{control}{hint}{split}</div>'
 
 
 def tiles(found: Mapping[str, Any]) -> str:
@@ -331,8 +343,7 @@ def parameter_section(rows: Rows, changed: bool, condition: float | None) -> str
         body.append([f"{text(p['symbol'])} <small>{text(name)}</small>", *cells, text(unit(p)), text(p["meaning"])])
     head = ["parameter", *(("before", "after") if changed else ("value",)), "unit", "meaning"]
     note = "Below the values, 95 % intervals: a jackknife over recordings, and what mesh and model may be wrong by."
-    if condition is not None:
-        note += f" Condition of the fit: {condition:.2g}; above a thousand some of them move together freely."
+    note += f" {condition_said([condition])}" if condition is not None else ""
     return f'<h2>Parameters</h2><p class="soft">{note}</p>' + table(head, body, numeric=set(range(1, len(head) - 2)))
 
 

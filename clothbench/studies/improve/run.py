@@ -29,7 +29,10 @@ def run(cell: ImproveCell, context: Context) -> Result:
     in_loops = () if cell.kind == "curve" else cell.candidates  # a curve is no run in time
     with compiled_ahead(problem, in_loops):
         finding = improve(problem, cell.candidates, told, cell.timeout)
-    stated = {"bounds": {n: list(ends) for n, ends in cell.bounds.items()}, "resolution": cell.scene.get("resolution")}
+    stated = {
+        "bounds": {n: list(ends) for n, ends in cell.bounds.items()}, "resolution": cell.scene.get("resolution"),
+        "split_by_seed": cell.split_by_seed,
+    }  # fmt: skip
     finding = dataclasses.replace(finding, settings=stated)
     told("page, tables and Rerun files", 0, 1)
     tables = finding_tables(finding)

@@ -88,6 +88,15 @@ def sham(error: Mapping[str, Any]) -> str:
     return f"A sham effect ({text(placebo['name'])}) added on top {does}: {fall}{doubt}."
 
 
+def drawn(found: Mapping[str, Any]) -> str:
+    """That no recording states a split; "" where one does, or where an older verdict has no word on it."""
+    if not found.get("settings", {}).get("split_by_seed"):
+        return ""
+    held = found["recordings"]["held_out"]
+    rest = f"which of them are held out was drawn with seed {found['seed']}" if held else "nothing is held out"
+    return f"No recording states a split; {rest}."
+
+
 def sentence(found: Mapping[str, Any]) -> str:
     """The verdict as HTML."""
     error, model = errors_of(found), f"<b>{text(found['model'])}</b>"

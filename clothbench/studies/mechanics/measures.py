@@ -35,12 +35,28 @@ def tip_sag(scene: Scene, x: np.ndarray) -> float:
 
 
 def sag_over_reach(scene: Scene, x: np.ndarray) -> float:
-    """H/W of a cantilever, from the line where it begins to turn (the middle of the held cell) to its tip."""
+    """H/W of a cantilever, from the line where it begins to turn (the second column of nodes) to its tip."""
     line = x[-1, middle(scene)]
-    reach = line[-1, 0] - (line[0, 0] + line[1, 0]) / 2
+    reach = line[-1, 0] - line[1, 0]
     if reach <= 0:
         raise NoMeasure("the strip hangs behind its clamp")
     return float((line[0, 2] - line[-1, 2]) / reach)
+
+
+def rigidity(scene: Scene, x: np.ndarray) -> float:
+    """Bending stiffness D [N·m] of a cantilever: the moment of what hangs beyond a node over the curvature there, by
+    least squares over the nodes between clamp and tip. Where the clamp begins does not matter to it.
+    """
+    line = x[-1, middle(scene)]
+    rows = scene.points[middle(scene), 0]
+    step = rows[1] - rows[0]
+    along, angle = line[:, 0], np.unwrap(np.arctan2(np.diff(line[:, 2]), np.diff(line[:, 0])))
+    weight = np.full(len(line), scene.areal_density * G * step)
+    weight[-1] /= 2
+    inner = range(2, len(line) - 1)
+    moment = np.array([(weight[i:] * (along[i:] - along[i])).sum() for i in inner])
+    curvature = -np.diff(angle)[[i - 1 for i in inner]] / step
+    return float(moment @ curvature / (curvature @ curvature))
 
 
 def fold_height(scene: Scene, x: np.ndarray) -> float:

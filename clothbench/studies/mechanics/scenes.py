@@ -39,16 +39,16 @@ def level(length: float, along: int, times: np.ndarray) -> Scene:
 def clamped(length: float, along: int, load: float) -> Scene:
     """A cantilever of free length `length` m, held level at one end, to be looked at when it hangs still.
 
-    The first two columns of nodes are held, every node of them. The line where the cloth begins to turn is then the
-    middle of the held cell: the strip is longer than L by half a cell, L (n − 1)/(n − 1.5) in all, so that L stays
-    the same on every mesh. The first guess is a curve of small deflections, with no more than 80° at the tip.
+    The first two columns of nodes are held, every node of them, and the cloth begins to turn at the second: the strip
+    is longer than L by the held cell, L (n − 1)/(n − 2) in all, so that L stays the same on every mesh. The first guess
+    is a curve of small deflections, with no more than 80° at the tip.
     """
-    total = length * (along - 1) / (along - 1.5)
+    total = length * (along - 1) / (along - 2)
     cell = total / (along - 1)
     angle = min(load / 6, 1.4)
 
     def slope(s: np.ndarray) -> np.ndarray:
-        free = np.clip((s - cell / 2) / length, 0.0, 1.0)
+        free = np.clip((s - cell) / length, 0.0, 1.0)
         return -angle * (1 - (1 - free) ** 3)
 
     return _still(total, length / ASPECT, along, slope, [0.0, cell])

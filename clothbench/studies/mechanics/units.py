@@ -69,17 +69,13 @@ class Probe:
 
 
 def bending(along: int, density: float) -> Probe:
-    """A cantilever whose Γ is 10: its H/W says which Γ it really has (heavy elastica, Bickley 1934)."""
+    """A cantilever whose Γ is 10: the moments of its weight over its curvatures, wherever a model's clamp begins."""
     rigidity = 1e-4 * density / scenes.DENSITY
     length = scenes.tip_length(1e-4, LOAD)
     scene = dataclasses.replace(scenes.clamped(length, along, LOAD), areal_density=density)
 
     def found(x: np.ndarray) -> float:
-        from scipy.optimize import brentq
-
-        drop = measures.sag_over_reach(scene, x)
-        load = math.exp(brentq(lambda g: references.drop_over_reach(math.exp(g)) - drop, -5.0, 7.0, xtol=1e-6))
-        return density * references.G * length**3 / load
+        return measures.rigidity(scene, x)
 
     return Probe("bending", "N·m", scene, Material(rigidity, 1000.0, 500.0), found)
 

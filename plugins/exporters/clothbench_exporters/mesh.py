@@ -11,11 +11,12 @@ NODES = 13  # along the longer side, where the scene does not say
 
 
 def sheet_of_twin(twin: Twin) -> tuple[Sheet, np.ndarray]:
-    """The sheet, flat, and the shape (n, 3) m from which it settles into its grips' first pose; where it is cut along
-    an outline, without the nodes that no cloth is at.
+    """The sheet, flat, and the shape (n, 3) m from which it settles, held where its grips first are; where it is cut
+    along an outline, without the nodes that no cloth is at.
     """
     grid = GridSimulation(twin.scene, grid_shape(twin.scene, NODES), BoundEffects(ParameterSpace(), ()))
-    sheet, start = grid.sheet, grid.start[0]
+    sheet, start = grid.sheet, grid.start[0].copy()
+    start[sheet.held[: sheet.gripped]] = first_pose(twin)  # a shape to settle from only comes near it
     cloth = sheet.mass > 0
     cloth[sheet.held[: sheet.gripped]] = True
     number = np.cumsum(cloth) - 1
@@ -23,6 +24,12 @@ def sheet_of_twin(twin: Twin) -> tuple[Sheet, np.ndarray]:
         uv=sheet.uv[cloth], mass=sheet.mass[cloth], area=sheet.area[cloth], triangles=number[sheet.triangles],
         held=number[sheet.held[cloth[sheet.held]]], outline=sheet.outline[:0],
     ), start[cloth]  # fmt: skip
+
+
+def first_pose(twin: Twin) -> np.ndarray:
+    """Where the grips are when the sheet begins to settle in them, (G, 3) m."""
+    scene = twin.scene
+    return scene.grips_at(np.array([scene.start_time]))[0] if len(scene.grip_material) else np.zeros((0, 3))
 
 
 def grip_nodes(twin: Twin, sheet: Sheet) -> np.ndarray:

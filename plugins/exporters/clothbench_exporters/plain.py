@@ -8,6 +8,7 @@ import math
 from typing import Any
 
 from clothbench import Export, Obstacle, Twin
+from clothbench_exporters.mesh import first_pose
 
 suffix = ".json"
 SCHEMA = 1
@@ -28,7 +29,7 @@ def export(twin: Twin) -> Export:
         "size": {"width": scene.width, "height": scene.height, "unit": "m"},
         "grips": {
             "material": scene.grip_material.tolist(),
-            "first_position": scene.grip_position[0].tolist(),
+            "first_position": first_pose(twin).tolist(),
             "unit": "m",
         },
         "gravity": {"value": list(map(float, scene.gravity)), "unit": "m/s²"},

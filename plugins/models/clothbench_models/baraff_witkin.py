@@ -97,7 +97,7 @@ class BaraffWitkin:
     """
 
     name = "baraff_witkin"
-    version = 7
+    version = 8
     kind = "implicit"
     parameters = PARAMETERS
     textiles = TEXTILES

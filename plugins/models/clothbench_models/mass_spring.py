@@ -64,7 +64,7 @@ class MassSpring:
     """
 
     name = "mass_spring"
-    version = 7
+    version = 8
     lacks = LACKS
     kind = "explicit"
     parameters = PARAMETERS

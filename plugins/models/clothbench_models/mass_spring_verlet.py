@@ -84,7 +84,7 @@ class MassSpringVerlet:
     """
 
     name = "mass_spring_verlet"
-    version = 5
+    version = 6
     lacks = LACKS
     kind = "explicit"
     parameters = _parameters()

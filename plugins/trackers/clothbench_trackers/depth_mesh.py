@@ -48,16 +48,20 @@ HUE_FRAMES = 5  # that are asked for the cloth's own hue
 HUES = 12  # of the a and b of Lab, of 255, that a pixel may differ by
 GAP = 1.5  # usual steps between two frames, beyond which frames were dropped and nothing is known in between
 AT_FRAME = 0.02  # of the step between two frames, within which a wanted time is that of one of them
+LARGER = 1.3  # times the cloth's sides, as which what is taken for it is something else
 LEVEL = 0.3  # of v along gravity, below which a sheet lies too level for gravity to say which way v goes
 
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """A frame after each step: depth (H, W) m; masks (H, W) bool by name; nodes (N, 3) m, world."""
+    """A frame after each step: depth (H, W) m; masks (H, W) bool by name; nodes (N, 3) m, world; extent (2,) m of what
+    was found, laid flat, along the cloth's sides, NaN where grips say where it is.
+    """
 
     depth: np.ndarray
     masks: dict[str, np.ndarray]
     nodes: np.ndarray
+    extent: np.ndarray
 
 
 class DepthMesh:
@@ -100,12 +104,14 @@ class DepthMesh:
         """The nodes of a recording of kind "depth", or of its file."""
         images = images_of(source, self.name)
         hue, material = self.hue_of(images), lattice(images, self.mesh)
-        nodes = np.empty((len(images.time), len(material), 3))
+        nodes, extent = np.empty((len(images.time), len(material), 3)), np.empty((len(images.time), 2))
 
         def one(frame: int) -> None:
-            nodes[frame] = self.nodes(images, frame, hue)  # what else a step leaves is megabytes a frame
+            step = self._step(images, frame, hue)
+            nodes[frame], extent[frame] = step.nodes, step.extent  # what else a step leaves is megabytes a frame
 
         for_each(one, range(len(nodes)))
+        check_extent(images, extent)
         return observation(images, nodes, material, self.even, self.sigma, self.name)
 
     def steps(self, source: DepthImages | Path, frames: Sequence[int]) -> list[Step]:
@@ -152,14 +158,14 @@ class DepthMesh:
         depth, masks, patch, stride, pixel = self._patch(images, frame, hue)
         material = lattice(images, self.mesh)
         if len(patch.point) < LEAST:
-            return Step(depth, masks, np.full((len(material), 3), np.nan))
+            return Step(depth, masks, np.full((len(material), 3), np.nan), np.full(2, np.nan))
         inside = pixel * patches.from_border(patch, masks["colour"])
         cut = np.any((patch.pixel < stride) | (patch.pixel >= np.array(depth.shape) - stride), axis=1)
-        flat, uv = self._flattened(images, frame, patch, inside, cut, pixel)
+        flat, uv, extent = self._flattened(images, frame, patch, inside, cut, pixel)
         nodes = flats.looked_up(flat, uv, patch.point, material, (BEYOND + stride) * pixel)
         place = images.camera.project(nodes)[0]
         outside = ((place < -0.5) | (place > np.array(images.camera.size) - 0.5)).any(axis=1)
-        return Step(depth, masks, np.where(outside[:, None], np.nan, nodes))
+        return Step(depth, masks, np.where(outside[:, None], np.nan, nodes), extent)
 
     def masks(
         self, images: DepthImages, frame: int, depth: np.ndarray, hue: np.ndarray | None
@@ -209,23 +215,27 @@ class DepthMesh:
 
     def _flattened(
         self, images: DepthImages, frame: int, patch: patches.Patch, inside: np.ndarray, cut: np.ndarray, pixel: float
-    ) -> tuple[flats.Flat, np.ndarray]:
-        """A patch laid flat, and the material coordinates (M, 2) m of its vertices. cut: (M,) bool, along the picture's
-        border, where the picture may end and the sheet go on: that is no hem.
+    ) -> tuple[flats.Flat, np.ndarray, np.ndarray]:
+        """A patch laid flat, the material coordinates (M, 2) m of its vertices, and its extent as `Step` has it. cut:
+        (M,) bool, along the picture's border, where the picture may end and the sheet go on: that is no hem.
         """
         size = np.array([images.cloth_width, images.cloth_height])
         guess, held, there = first_guess(images, frame, patch.point, self.jump + LOST * pixel)
         flat = flats.Flat.of(patch.point, flats.upright(patch.triangle, guess))
         uv = flats.isometric(flat, guess)
-        uv = boxed(uv, size) if held is None or there is None else flats.placed(uv, uv[held], there)
+        if held is None or there is None:
+            uv = boxed(uv, size)
+            extent = np.ptp(uv, axis=0)
+        else:
+            uv, extent = flats.placed(uv, uv[held], there), np.full(2, np.nan)
         edge = flats.border(flat.triangle)
         edge = edge[~cut[edge]]
         for _ in range(ALIGN_ROUNDS):  # a turn of the whole is what the isometric steps find most slowly
             wanted = on_hems(uv, edge, inside, size, pixel)
             uv = flats.turned_to(uv, wanted)
         if self.method == "harmonic":
-            return flat, flats.harmonic(flat, patch.point, uv, size)
-        return flat, flats.isometric(flat, uv, wanted)
+            return flat, flats.harmonic(flat, patch.point, uv, size), extent
+        return flat, flats.isometric(flat, uv, wanted), extent
 
 
 def images_of(source: Any, who: str) -> DepthImages:
@@ -326,6 +336,22 @@ def boxed(uv: np.ndarray, size: np.ndarray) -> np.ndarray:
     turned = uv @ turn
     low, high = turned.min(axis=0), turned.max(axis=0)
     return turned - (low + high) / 2 + size / 2
+
+
+def check_extent(images: DepthImages, extent: np.ndarray) -> None:
+    """What nobody holds is about as large as the cloth in most frames, of extents (T, 2) m, NaN where grips say where
+    it is: else some of what was found is not the cloth, or metres are none.
+    """
+    size = np.array([images.cloth_width, images.cloth_height])
+    found = extent[np.isfinite(extent).all(axis=1)]
+    large = (np.sort(found, axis=1) >= LARGER * np.sort(size)).any(axis=1)  # on its side it is as large
+    if 2 * large.sum() > len(found):
+        wide, tall = np.median(found[large], axis=0)
+        raise ClothbenchError(
+            f"{images.path or images.name}: found a sheet of {wide:.3g} × {tall:.3g} m in {large.sum()} of "
+            f"{len(found)} frames without grips, expected {size[0]:g} × {size[1]:g} m; is depth_step right, and is "
+            "nothing else taken for cloth (near, far, colour)?"
+        )
 
 
 def observation(

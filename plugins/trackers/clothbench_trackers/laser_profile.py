@@ -26,6 +26,7 @@ class LaserProfile:
 
     name = "laser_profile"
     version = 2
+    kinds = frozenset({"laser"})
 
     def __init__(self, width: float = 2.0, contrast: float = 25.0, shortest: int = 12):
         for word, value in (("width", width), ("contrast", contrast)):

@@ -138,7 +138,8 @@ def _read_csv(path: Path) -> _Raw:
 
 def _csv_lines(path: Path) -> tuple[dict[str, str], list[tuple[int, list[str]]]]:
     """The `# key: value` lines, and the others from the header on as (line number, cells), without any cell where
-    nothing stands there. Where the header has semicolons and no comma, they part the cells and commas are decimal.
+    nothing stands there. Where the header has semicolons and no comma, they part the cells and commas are decimal, in
+    the rate, too.
     """
     stated: dict[str, str] = {}
     lines: list[tuple[int, list[str]]] = []
@@ -156,6 +157,8 @@ def _csv_lines(path: Path) -> tuple[dict[str, str], list[tuple[int, list[str]]]]
             semicolons = semicolons or (not lines and ";" in text and "," not in text)
             text = text.replace(",", ".").replace(";", ",") if semicolons else text
             lines.append((number, next(csv.reader([text])) if text.strip() else []))
+    if semicolons and "rate" in stated:
+        stated["rate"] = stated["rate"].replace(",", ".")
     return stated, lines
 
 

@@ -23,6 +23,8 @@ UP = {
 }
 OF_RECORDINGS = {"fill_gaps_up_to", "sigma"}
 RIGID = 1e-4  # a transform typed to four decimals still passes: 0.1 mm in a metre
+ASIDE = 0.2  # of the cloth's longer side: the least that its middle is off its grips, where it may hang sideways
+ALONG, DOWN, MOSTLY = 0.9, 0.2, 0.95  # of the way there, along an axis and along gravity; of the frames
 FLAT = 0.01  # width over length below which references lie on a line and leave a rotation open
 
 
@@ -108,8 +110,10 @@ def recording_from_markers(
     material, settings: as of `Markers`; cloth_width, cloth_height: m; about: further fields of
     `Recording` (name, fabric, areal_density [kg/m²], motion, licence, split, …). Nodes keep their gaps. The
     grips' clock leaves out frames in which a grip was not seen; no two of its stamps may be more than
-    fill_gaps_up_to [s] apart beyond one frame. Frames before its first and after its last stamp are
-    dropped: what drove the cloth then is not known.
+    fill_gaps_up_to [s] apart beyond one frame, whether frames in between show nothing of it or are missing
+    from the file. Frames before its first and after its last stamp are dropped: what drove the cloth then is
+    not known. Without a `frame`, cloth that is beside its grips all the time, along one of the file's axes, is
+    refused: it hangs, and another axis is up.
     """
     path = Path(path)
     told = _told({**settings, "material": material}, path)
@@ -128,7 +132,7 @@ def recording_from_markers(
     for what, size in (("cloth_width", cloth_width), ("cloth_height", cloth_height)):
         if not is_number(size):
             raise refusal(path, f"setting '{what}'", repr(size), "metres above 0")
-    return Recording(
+    made = Recording(
         time=markers.time[driven],
         material=np.array([points[label] for label in nodes]),
         position=free[driven],
@@ -140,6 +144,29 @@ def recording_from_markers(
         path=str(path),
         **{**header, **_about(about or {}, path)},
     )
+    if told.frame is None and not made.obstacles:
+        _check_up(made, np.isfinite(held).all(axis=(1, 2))[driven], held[driven], told.up, path)
+    return made
+
+
+def _check_up(made: Recording, known: np.ndarray, held: np.ndarray, up: str, path: Path) -> None:
+    """Refuse cloth that is beside its grips all the time, along one of the file's axes: it hangs, and the axis that is
+    up was taken for another. held: (T, G, 3) m; known: (T,), in which frames that is known.
+    """
+    rows, gravity = known & made.visible.any(axis=1), np.array(made.gravity)
+    if not rows.any() or not gravity.any():
+        return
+    seen = np.where(made.visible[rows][..., None], made.position[rows], np.nan)
+    away = np.nanmean(seen, axis=1) - held[rows].mean(axis=1)
+    far = np.linalg.norm(away, axis=1)
+    aside = np.abs(away @ gravity) < DOWN * np.linalg.norm(gravity) * far
+    aside &= far > ASIDE * max(made.cloth_width, made.cloth_height)
+    for axis, along in zip(UP, (away @ UP[up]).T, strict=True):
+        for sign, remedy in ((-1, f"set up={axis!r}"), (1, "turn it by 'frame'")):
+            if (aside & (sign * along > ALONG * far)).mean() >= MOSTLY:
+                found = f"{up!r}, and the cloth beside its grips, along {axis}"
+                level = "where it is held level, say so by frame=np.eye(4)"
+                raise refusal(path, "setting 'up'", found, "cloth below its grips", f"{remedy}; {level}")
 
 
 def fill_gaps(time: np.ndarray, position: np.ndarray, up_to: float) -> np.ndarray:
