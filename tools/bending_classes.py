@@ -2,7 +2,8 @@
 
 RUNS: a folder of `clothbench run +suite=drape_bending`. DATASET.csv: `dataset.csv` of ClothDrapeTester (Feng, Huang, Xu
 and Wang 2022), areal density [kg/m²] and linear bending stiffness [1e-9 N·m] of 618 unnamed fabrics from cantilevers.
-Printed is where each fit lies among the fabrics whose density is within a fifth of its own.
+Printed is where each fit lies among the fabrics whose density is within a fifth of its own, by the length at which
+each bends under its own weight.
 """
 
 from __future__ import annotations
@@ -25,6 +26,12 @@ def measured(path: Path) -> tuple[np.ndarray, np.ndarray]:
     return rows[:, 0], 1e-9 * rows[:, 1:3].mean(axis=1)
 
 
+def lengths_near(own: float, density: np.ndarray, stiffness: np.ndarray) -> np.ndarray:
+    """Lengths [mm] at which fabrics bend under their own weight, whose density [kg/m²] is within a fifth of `own`."""
+    near = abs(density - own) < NEAR * own
+    return np.array([1e3 * bending_length(*fabric) for fabric in zip(stiffness[near], density[near], strict=True)])
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("runs", type=Path)
@@ -39,12 +46,13 @@ def main() -> None:
         if p["name"] != "bend" or cases[p["key"]] not in heavy:
             continue
         own, fitted = heavy[cases[p["key"]]], p["value"]
-        near = stiffness[abs(density - own) < NEAR * own]
-        low, middle, high = (1e3 * bending_length(q, own) for q in np.quantile(near, (0.1, 0.5, 0.9)))
+        near = lengths_near(own, density, stiffness)
+        length = 1e3 * bending_length(fitted, own)
+        low, middle, high = np.quantile(near, (0.1, 0.5, 0.9))
         print(f"{cases[p['key']]}: {own:.3f} kg/m², D {fitted:.3g} N·m ({p['low']:.2g} … {p['high']:.2g}), "
-              f"bending length {1e3 * bending_length(fitted, own):.1f} mm; {len(near)} measured fabrics as heavy: "
+              f"bending length {length:.1f} mm; {len(near)} measured fabrics as heavy: "
               f"{middle:.1f} mm ({low:.1f} … {high:.1f}, tenth to ninth decile); more limp than it: "
-              f"{np.mean(near < fitted):.0%}")  # fmt: skip
+              f"{np.mean(near < length):.0%}")  # fmt: skip
 
 
 if __name__ == "__main__":

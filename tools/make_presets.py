@@ -40,8 +40,8 @@ WEIGHED = "Gong, Mao and Wang 2024"
 STAND_INS = {"fleece": 0.24, "linen": 0.22}  # kg/m², of tools/make_static_dynamic.py
 USUAL = "usual for such a fabric, ± 20 % assumed; Bhat et al. 2003 give no weight"
 UNITS = {
-    "areal_density": "kg/m²", "bending_warp": "N·m", "bending_weft": "N·m", "stretch": "N/m", "shear": "N/m",
-    "drape_coefficient": "%", "folds": "1",
+    "areal_density": "kg/m²", "bending_warp": "N·m", "bending_weft": "N·m", "stretch": "N/m", "stretch_warp": "N/m",
+    "stretch_weft": "N/m", "shear": "N/m", "drape_coefficient": "%", "folds": "1",
 }  # fmt: skip
 CLAMP, INITIAL = 0.0355, 0.1  # m, the clamp that scales the films (their template.nb); strain before yarns lock
 FIT = re.compile(r"(\S+), (\S+) … (\S+) \((\S+)\)")  # value, interval, and what the stand-in was made with
@@ -122,14 +122,20 @@ class Measured:
             "shear": spread([shear_modulus(row[3]) for fabric in mine for row in fabric["stretching"]], source),
         }
 
-    def both_threads(self, name: str) -> Number:
+    def both_threads(self, name: str) -> dict[str, Number]:
         """Stretch of one fabric whose threads differ: the geometric mean of the two, as of bending, where a median over
-        both would lie in the gap between them, and the range of both.
+        both would lie in the gap between them, and the range of both; and that of each. Which is the warp is said of
+        bending (`wang`): the same direction is taken for it here.
         """
         pulled = np.array(self.pulled([name])).reshape(-1, 2)
         warp, weft = (digits(value) for value in np.median(pulled, axis=0))
         source = f"{WANG}: {name}, geometric mean of {warp:.0f} along one thread and {weft:.0f} along the other"
-        return number(math.sqrt(warp * weft), float(pulled.min()), float(pulled.max()), f"{source}, range of both")
+        mean = number(math.sqrt(warp * weft), float(pulled.min()), float(pulled.max()), f"{source}, range of both")
+        assumed = f"{WANG}: {name}, median and range; the first direction is taken for the warp, as of bending"
+        return {
+            "stretch": mean,
+            **{f"stretch_{w}": spread(pulled[:, k], assumed) for k, w in enumerate(("warp", "weft"))},
+        }
 
     def pulled(self, names: Sequence[str]) -> list[float]:
         """Stretch of strips of these fabrics along both threads, at all their strains [N/m]."""
@@ -222,7 +228,7 @@ def presets(folder: Path) -> dict[str, Any]:
     every = data.wang(EVERY, ", for want of any of this class")
     wide = {name: every[name] for name in ("stretch", "shear")}
     denim = data.wang(("11oz-black-denim",))
-    denim["stretch"] = data.both_threads("11oz-black-denim")
+    denim |= data.both_threads("11oz-black-denim")
     denim["areal_density"] = number(0.324, 0.324, 0.373, f"{WANG}: weighed, and what 11 oz/yd² is")
     cotton = number(0.114, 0.059, 0.192, f"{WEIGHED}: three cottons")
     once = ", one fabric, ± 20 % assumed"

@@ -30,7 +30,10 @@ Record = TypeVar("Record")
 def freeze(record: Any, layout: Layout) -> None:
     """Give a frozen record arrays of its own that are read-only, of the layout's types."""
     for name, of in layout.variables.items():
-        array: np.ndarray = np.array(getattr(record, name), dtype=of.dtype, order="C")
+        values = np.asarray(getattr(record, name))
+        if np.issubdtype(of.dtype, np.integer) and values.dtype.kind in "iuf":
+            values = _converted(values, name, of, record.path or record.name)
+        array: np.ndarray = np.array(values, dtype=of.dtype, order="C")
         array.flags.writeable = False
         object.__setattr__(record, name, array)
 
@@ -183,7 +186,7 @@ def variable(file: NetCDF, name: str, of: Variable) -> np.ndarray:
     return _converted(found.values(), name, of, path)
 
 
-def _converted(values: np.ndarray, name: str, of: Variable, path: Path) -> np.ndarray:
+def _converted(values: np.ndarray, name: str, of: Variable, path: Path | str) -> np.ndarray:
     """Numbers as the layout's type; whole numbers must be whole and within its range, nothing is rounded or clipped."""
     if np.issubdtype(of.dtype, np.integer) and values.dtype != of.dtype:
         with np.errstate(invalid="ignore"):  # what does not fit comes back as another number

@@ -11,7 +11,7 @@ Samples stand in the order of the measurement. Attributes: `format`, `format_ver
 `direction` ("warp", "weft", "course", "wale" or "": the one along which it was pulled), `noise_sigma` [N, of one
 sample; NaN = not known], `sample_width`, `sample_length` [m, unloaded, across and along the pull; NaN = not known, as
 where a video has no scale: the ratio `stretch` needs none], `sensor`, `source`, `licence`, `declared_effects`, `motion`
-("loading" where the sample was only ever pulled further), `split`.
+("loading" where the sample was only ever pulled further up to its largest stretch), `split`.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ import numpy as np
 from clothbench.core.errors import ClothbenchError
 from clothbench.recordings.codec import freeze, hash_of, read, write
 from clothbench.recordings.layout import SPLITS, Layout, Variable
+from clothbench.recordings.rig import check_numbers
 
 LAYOUT = Layout(
     kind="curve",
@@ -41,6 +42,10 @@ DIRECTIONS = ("warp", "weft", "course", "wale", "")
 FEWEST = 8  # samples; fewer make no curve
 BEGINS = (0.8, 1.5)  # where the smallest stretch lies: a ratio to the unloaded distance, no strain and no millimetres
 LONGEST = 20.0  # the stretch that no cloth survives
+LEAST = 1e-3  # of stretch, by which a curve changes
+LARGEST = 2.0  # m, of what a testing machine pulls
+STRONGEST = 1e6  # N, and N for each metre of width: several times what a fabric of carbon bears
+FALL, SCATTER = 0.05, 8.0  # of the range of stretch, and standard deviations of noise in it, that are no way back
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +100,7 @@ def _check(c: Curve, where: str) -> None:
     _check_values(c, where)
     _check_stretch(c.stretch, where)
     _check_stated(c, where)
+    _check_loading(c, where)
 
 
 def _check_shapes(c: Curve, where: str) -> None:
@@ -123,6 +129,11 @@ def _check_values(c: Curve, where: str) -> None:
             )
     if not np.ptp(c.force) > 0:
         raise ClothbenchError(f"{where}: variable 'force': found {c.force[0]:g} N in every sample, expected a curve")
+    if (most := float(np.abs(c.force).max())) > STRONGEST:
+        raise ClothbenchError(
+            f"{where}: variable 'force': found {most:g} N, expected newtons, {STRONGEST:g} at most; are these in "
+            "another unit?"
+        )
 
 
 def _check_stretch(stretch: np.ndarray, where: str) -> None:
@@ -132,13 +143,14 @@ def _check_stretch(stretch: np.ndarray, where: str) -> None:
             f"{where}: variable 'stretch': found {least:g} to {most:g}, expected the ratio to the unloaded distance, "
             f"about 1 at the start and below {LONGEST:g}; divide distances by the unloaded one, add 1 to a strain"
         )
-    if most - least < 1e-3:
+    if most - least < LEAST:
         raise ClothbenchError(
-            f"{where}: variable 'stretch': found {least:g} to {most:g}, expected it to change by 0.001 at least"
+            f"{where}: variable 'stretch': found {least:g} to {most:g}, expected it to change by {LEAST:g} at least"
         )
 
 
 def _check_stated(c: Curve, where: str) -> None:
+    check_numbers(c, LAYOUT.numbers, where)
     if not c.name:
         raise ClothbenchError(f"{where}: attribute 'name': found nothing, expected the recording's name")
     if c.direction not in DIRECTIONS:
@@ -148,9 +160,52 @@ def _check_stated(c: Curve, where: str) -> None:
         raise ClothbenchError(
             f"{where}: attribute 'noise_sigma': found {c.noise_sigma}, expected newtons, 0 or above, or NaN"
         )
+    if c.noise_sigma > (whole := float(np.ptp(c.force))):
+        raise ClothbenchError(
+            f"{where}: attribute 'noise_sigma': found {c.noise_sigma:g} N where forces differ by {whole:g} N in all, "
+            "expected less, as the noise of a sample is; is it in another unit?"
+        )
     for name in ("sample_width", "sample_length"):
         value = getattr(c, name)
         if value <= 0 or math.isinf(value):
             raise ClothbenchError(f"{where}: attribute '{name}': found {value}, expected metres above 0, or NaN")
+        if value > LARGEST:
+            raise ClothbenchError(
+                f"{where}: attribute '{name}': found {value:g} m, expected {LARGEST:g} m at most, or NaN; are these "
+                "millimetres?"
+            )
+    if (tension := float(np.abs(c.force).max()) / c.sample_width) > STRONGEST:
+        raise ClothbenchError(
+            f"{where}: variable 'force': found {tension:g} N for each metre of the sample's width, {c.sample_width:g} "
+            f"m, expected {STRONGEST:g} at most; is either in another unit?"
+        )
     if c.split not in SPLITS:
         raise ClothbenchError(f"{where}: attribute 'split': found {c.split!r}, expected 'fit', 'held_out' or ''")
+
+
+def _check_loading(c: Curve, where: str) -> None:
+    """What says that it was only ever pulled further does not go back before its largest stretch."""
+    up = last_rise(c.stretch)
+    if c.motion == "loading" and up.start:
+        before, lowest = float(c.stretch[: up.start].max()), float(c.stretch[up.start])
+        raise ClothbenchError(
+            f"{where}: attribute 'motion': found 'loading' though the stretch falls from {before:.4g} to {lowest:.4g} "
+            f"at sample {up.start}, before it is largest, expected it to rise; state what it was ('cycles'), or cut it"
+        )
+
+
+def last_rise(stretch: np.ndarray) -> slice:
+    """The samples of the last rise to the largest of stretches (M,): of several cycles the one that goes farthest.
+
+    It begins where the last fall ends that is no noise: a twentieth of the range, and eight standard deviations of what
+    scatters from sample to sample, as third differences show it. Single samples that stand out are no fall.
+    """
+    from scipy.ndimage import median_filter
+
+    top = int(np.argmax(stretch)) + 1
+    way = median_filter(stretch[:top], size=3, mode="nearest")
+    scatter = 1.4826 * float(np.median(np.abs(np.diff(stretch, n=3)))) / math.sqrt(20)
+    later = np.minimum.accumulate(way[::-1])[::-1]
+    above = np.flatnonzero(way - later > max(FALL * float(np.ptp(stretch)), SCATTER * scatter))
+    begin = int(above[-1] + np.argmin(way[above[-1] :])) if above.size else 0
+    return slice(begin, top)

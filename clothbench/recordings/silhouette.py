@@ -24,11 +24,13 @@ from clothbench.core.errors import ClothbenchError
 from clothbench.recordings.codec import freeze, hash_of, read, write
 from clothbench.recordings.layout import Layout, Variable
 from clothbench.recordings.nodes_rules import check_shapes
-from clothbench.recordings.rig import TEXTS, check_stated
+from clothbench.recordings.rig import TEXTS, check_numbers, check_stated
+from clothbench.recordings.supports import check_thin
 
 SIDES = {0: "not known", 1: "face up", 2: "face down"}
 LEAST_PIXELS = 20  # across the plate's radius
 DUST = 0.05  # of what is dark that may lie beside the shadow
+WIDEST = 2.0  # m, the radius of a drapemeter that fills a room; usual are specimens of 0.12 to 0.18
 LAYOUT = Layout(
     kind="silhouette",
     variables={
@@ -98,7 +100,13 @@ def write_silhouettes(silhouettes: Silhouettes, path: str | os.PathLike[str]) ->
 def _check(r: Silhouettes, where: str) -> None:
     """Every rule of the kind, in the order in which a reader would trip over it."""
     check_shapes({name: getattr(r, name) for name in LAYOUT.variables}, LAYOUT, where)
+    check_numbers(r, LAYOUT.numbers, where)
     check_stated(r, where, ("pixel_size", "plate_radius", "disc_radius"))
+    if r.disc_radius > WIDEST:
+        raise ClothbenchError(
+            f"{where}: attribute 'disc_radius': found {r.disc_radius:g} m, expected {WIDEST:g} m at most; are these "
+            "millimetres or centimetres?"
+        )
     if r.disc_radius <= r.plate_radius:
         raise ClothbenchError(
             f"{where}: attribute 'disc_radius': found {r.disc_radius} m, expected more than plate_radius "
@@ -111,6 +119,7 @@ def _check(r: Silhouettes, where: str) -> None:
         )
     if r.thickness <= 0 or math.isinf(r.thickness):
         raise ClothbenchError(f"{where}: attribute 'thickness': found {r.thickness}, expected metres above 0, or NaN")
+    check_thin(r.thickness, 2 * r.disc_radius, where)
     if wrong := sorted(set(r.side.tolist()) - set(SIDES)):
         raise ClothbenchError(f"{where}: variable 'side': found {wrong[0]}, expected 0, 1 (face up) or 2 (face down)")
     _check_shadows(r, where)

@@ -1,8 +1,8 @@
 """What measured fabrics are like, class by class: each number with its spread, its unit and where it comes from.
 
 Derived by `tools/make_presets.py` from public data, of which only these summaries are here. Quantities: areal_density
-[kg/m²], bending_warp, bending_weft [N·m], stretch, shear [N/m]; where a drapemeter was at hand drape_coefficient [%]
-and folds [1].
+[kg/m²], bending_warp, bending_weft [N·m], stretch, shear [N/m]; of one fabric whose threads differ stretch_warp and
+stretch_weft [N/m]; where a drapemeter was at hand drape_coefficient [%] and folds [1].
 """
 
 from __future__ import annotations
@@ -47,10 +47,14 @@ class Preset:
 
     @property
     def material(self) -> Material:
-        """The middle of the class; how much more its warp bends than its weft, too."""
-        warp, weft = self.numbers["bending_warp"], self.numbers["bending_weft"]
+        """The middle of the class; how much more its warp resists than its weft, too, where both are known."""
         elastic = (self.bending.value, self.numbers["stretch"].value, self.numbers["shear"].value)
-        return Material(*elastic, bending_ratio=warp.value / weft.value)
+        return Material(*elastic, bending_ratio=self._ratio("bending"), stretch_ratio=self._ratio("stretch"))
+
+    def _ratio(self, quantity: str) -> float:
+        """Warp over weft; 1 where the threads are not told apart."""
+        warp, weft = (self.numbers.get(f"{quantity}_{thread}") for thread in ("warp", "weft"))
+        return warp.value / weft.value if warp and weft else 1.0
 
 
 @functools.cache

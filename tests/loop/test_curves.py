@@ -12,7 +12,15 @@ from clothbench.engine.checkpoint import Checkpoint
 from clothbench.plugins.discovery import catalogue
 from clothbench.studies.improve.attribution import Probe
 from clothbench.studies.improve.candidates import candidates_of
-from clothbench.studies.improve.curve_steps import CurveObservation, common_steps, floor_of, loading, observed, spread
+from clothbench.studies.improve.curve_steps import (
+    CurveObservation,
+    common_steps,
+    floor_of,
+    loading,
+    observed,
+    spread,
+    variance_of_median,
+)
 from clothbench.studies.improve.curves import CurveCase, curve_evidence
 from clothbench.studies.improve.document import verdict_document
 from clothbench.studies.improve.fitted import Fitted
@@ -204,7 +212,8 @@ def test_the_spread_is_of_force_per_width():
 
 def stepped(*force: float) -> CurveObservation:
     """A run that was seen at stretches of 1.1, 1.2 and so on."""
-    return CurveObservation(1.1 + 0.1 * np.arange(len(force)), np.array(force), np.ones(len(force), bool), 0.1)
+    stretch, once = 1.1 + 0.1 * np.arange(len(force)), np.ones(len(force), int)
+    return CurveObservation(stretch, np.array(force), once.astype(bool), once, 0.1)
 
 
 def test_the_spread_of_a_few_runs_is_that_of_one_more():
@@ -233,6 +242,24 @@ def test_a_step_of_stretch_that_no_run_has_a_sample_in_says_nothing_about_the_sp
     assert 0.5 < evidence.noise() / curve_evidence(curves, [c.split for c in curves]).noise() < 2
 
 
+def locking(samples: int, split: str) -> Curve:
+    """It locks, while the load cell scatters by 0.5 N from sample to sample."""
+    strain = np.linspace(0, 0.3, samples)
+    force = 10 * strain + 0.02 * (np.expm1(15 * strain) - 15 * strain)
+    noise = np.random.default_rng(samples).normal(0, 0.5, samples)
+    return Curve(split, 1 + strain, force + noise, noise_sigma=0.5, split=split)
+
+
+def test_the_noise_that_a_single_run_states_is_that_of_a_sample_and_its_steps_are_medians_of_many():
+    few, many = (curve_evidence([locking(n, "fit")], ["fit"]).noise() for n in (60, 6000))
+    assert many == pytest.approx(0.5 * np.sqrt(np.pi / 200), rel=0.02)  # a hundred in each of sixty steps
+    assert few == pytest.approx(0.5 * np.sqrt(0.4487), rel=0.05)  # three in each of twenty
+    samples = np.random.default_rng(0).normal(size=(10**5, 20))
+    for n in (1, 2, 3, 4, 5, 8, 13, 20):
+        assert variance_of_median(np.array(n)) == pytest.approx(np.var(np.median(samples[:, :n], axis=1)), rel=0.05)
+    assert verdict([locking(6000, "fit"), locking(6001, "held_out")])["verdict"] != "complete"
+
+
 def test_a_hole_in_one_run_is_no_spread_between_runs():
     """The straight line across it lies 12 N off what the other run has there."""
     random = np.random.default_rng(0)
@@ -259,6 +286,33 @@ def test_the_loop_looks_at_the_way_up_in_equal_steps_that_all_runs_share():
     assert seen.visible.all()
     np.testing.assert_allclose(seen.force, 10 * (seen.stretch - 1), atol=1e-9)
     assert np.ptp(force) == pytest.approx(4.0)
+
+
+def cycled(name: str, seed: int, split: str) -> Curve:
+    """A linear sample, 20 N, pulled three times, each a little farther; it comes back below the way that it went."""
+    strain, parts = np.linspace(0, 0.2, 200), []
+    for top in (1.0, 1.0005, 1.001):
+        parts += [(strain * top, 20 * strain), (strain[::-1] * top, 4 * (strain[::-1] / 0.2) ** 2.5)]
+    stretch, force = 1 + np.concatenate([s for s, _ in parts]), np.concatenate([f for _, f in parts])
+    force = force + np.random.default_rng(seed).normal(0, 0.02, len(force))
+    return Curve(name, stretch, force, "knit", "wale", noise_sigma=0.02, motion="cycles", split=split)
+
+
+def test_of_cycles_only_the_last_way_up_counts():
+    curves = [cycled(f"run{n}", n, "held_out" if n == 3 else "fit") for n in range(4)]
+    stretch, force = loading(curves[0])
+    assert len(stretch) == 201  # with the one at which it turns
+    np.testing.assert_allclose(force, 20 * (stretch - 1), atol=0.1)
+    found = verdict(curves)
+    assert (found["verdict"], found["effects"]) == ("complete", [])
+
+
+def test_a_curve_of_the_way_back_alone_is_refused_as_what_it_is():
+    first, *others = runs(7, lambda e: 0 * e)
+    back = replace(first, stretch=first.stretch[::-1], force=first.force[::-1])
+    for curves in ([back, *others], [*others, replace(back, split="held_out")]):
+        with pytest.raises(ClothbenchError, match=r"run0: variable 'stretch': found its largest.* no rise to it"):
+            verdict(curves)
 
 
 def test_surrogates_keep_what_a_residual_is_made_of():

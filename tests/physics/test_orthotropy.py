@@ -137,6 +137,11 @@ def test_a_twin_carries_both_and_says_what_a_target_makes_of_them():
     (line,) = (line for line in mjcf.export(denim).cannot if line.startswith("bending"))
     assert f"stands for {warp:.4g} along the warp and {weft:.4g} along the weft" in line
     assert f"bending ratio: {warp / weft:.4g}, warp over weft" in "\n".join(denim.about())
+    pulled = tuple(preset("denim").numbers[f"stretch_{thread}"].value for thread in ("warp", "weft"))
+    assert denim.material.along("stretch") == pytest.approx(pulled, rel=1e-3)
+    assert f'"value": {denim.material.stretch_ratio}' in plain.export(denim).text
+    (line,) = (line for line in mjcf.export(denim).cannot if line.startswith("stretch:"))
+    assert "stands for 447.2 along the warp and 2091 along the weft" in line  # of a mean of three digits
     alike = Twin("a cloth", denim.scene, denim.material.alike, {}, "none")
     assert not [line for line in (*alike.about(), *mjcf.export(alike).cannot) if "warp" in line]
 
@@ -146,6 +151,7 @@ def test_a_class_of_fabrics_says_where_the_ratio_begins():
     prior = prior_of(denim, BaraffWitkin(orthotropic=True), scene)
     assert prior.start["bend_ratio"] == pytest.approx(denim.material.bending_ratio)
     assert "bend_ratio" not in prior.bounds
-    assert "stretch_ratio" not in prior.start
+    assert prior.start["stretch_ratio"] == pytest.approx(denim.material.stretch_ratio)
+    assert "stretch_ratio" not in prior_of(preset("knit"), BaraffWitkin(orthotropic=True), scene).start
     alike = prior_of(denim, BaraffWitkin(), scene)
     assert {name: prior.bounds[name] for name in alike.bounds} == alike.bounds

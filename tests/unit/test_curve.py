@@ -11,6 +11,7 @@ import pytest
 
 from clothbench import ClothbenchError, Curve, read_curve, read_recording, write_curve
 from clothbench.datasets.knit_uniaxial_gatech import Swatch, apart, curve_of, stray
+from clothbench.recordings.curve import last_rise
 from clothbench.recordings.kinds import read_any
 
 
@@ -51,6 +52,20 @@ def test_both_kinds_are_told_apart(recording, tmp_path):
         (lambda f: setattr(f, "direction", "X"), "attribute 'direction': found 'X', expected one of 'warp'"),
         (lambda f: setattr(f, "noise_sigma", -1.0), "attribute 'noise_sigma': found -1.0"),
         (lambda f: setattr(f, "sample_width", 0.0), "attribute 'sample_width': found 0.0, expected metres above 0"),
+        (
+            lambda f: setattr(f, "sample_width", 50.0),
+            "'sample_width': found 50 m, expected 2 m at most, or NaN; are these",
+        ),
+        (lambda f: setattr(f, "sample_length", 20.0), "attribute 'sample_length': found 20 m, expected 2 m at most"),
+        (lambda f: setattr(f, "noise_sigma", 1e6), "'noise_sigma': found 1e+06 N where forces differ by 5 N in all"),
+        (
+            lambda f: f["force"].__setitem__(slice(None), 2e8 * np.linspace(0, 1, 40)),
+            "'force': found 2e+08 N, expected",
+        ),
+        (
+            lambda f: (f["force"].__setitem__(3, 4e5), setattr(f, "sample_width", 0.05)),
+            "found 8e+06 N for each metre of",
+        ),
         (lambda f: setattr(f, "sample_length", "long"), "attribute 'sample_length': found 'long', expected a number"),
         (lambda f: setattr(f, "name", ""), "attribute 'name': found nothing"),
         (lambda f: setattr(f, "split", "train"), "attribute 'split': found 'train'"),
@@ -73,6 +88,11 @@ def test_every_fault_is_one_line_with_file_and_field(tmp_path, change, found):
     assert "\n" not in str(caught.value)
 
 
+def test_what_is_no_number_is_refused():
+    with pytest.raises(ClothbenchError, match="attribute 'noise_sigma': found 'x', expected a number"):
+        pulled(noise_sigma="x")
+
+
 def test_arrays_that_do_not_belong_together_are_refused():
     with pytest.raises(ClothbenchError, match="'force': found 39 along 'sample', expected 40"):
         pulled(force=np.arange(39.0))
@@ -80,6 +100,22 @@ def test_arrays_that_do_not_belong_together_are_refused():
         pulled(stretch=np.linspace(1, 1.2, 5), force=np.arange(5.0))
     with pytest.raises(ClothbenchError, match=r"found shape \(40, 1\), expected \(sample\)"):
         pulled(stretch=np.linspace(1, 1.5, 40)[:, None])
+
+
+def test_what_is_said_to_be_loading_does_not_go_back_before_it_is_largest():
+    up, random = np.linspace(1.0, 1.5, 200), np.random.default_rng(0)
+    twice = np.r_[up, up[::-1], 1 + 1.001 * (up - 1)]
+    with pytest.raises(ClothbenchError, match=r"found 'loading' though the stretch falls from 1.5 to 1 at sample 399"):
+        pulled(stretch=twice, force=np.r_[10 * (up - 1), 4 * (up[::-1] - 1), 10 * (up - 1)])
+    assert pulled(stretch=twice, force=np.arange(600.0), motion="cycles").motion == "cycles"
+    back = np.r_[up, up[::-1]]  # the way back comes after the largest stretch, and is passed over
+    assert pulled(stretch=back, force=np.arange(400.0)).motion == "loading"
+    for noise in (0.001, 0.02):  # of what a camera sees: no way back
+        seen = np.linspace(1.0, 1.5, 6000) + random.normal(0, noise, 6000)
+        assert last_rise(seen) == slice(0, int(np.argmax(seen)) + 1)
+    stray = up.copy()
+    stray[90] = 1.0
+    assert last_rise(stray) == slice(0, 200)
 
 
 def film(distance: np.ndarray, force: np.ndarray) -> dict:

@@ -133,11 +133,13 @@ def test_a_page_without_rows_still_says_the_verdict():
 
 def test_curves_are_told_in_newtons():
     error = verdict("attributed", EFFECT)["error_mm"]
-    found = verdict("attributed", EFFECT, kind="curve", error={"unit": "N", **error}, unexplained=0.02, error_mm=None)
+    told = {"kind": "curve", "error": {"unit": "N", **error}, "unexplained": 0.02, "error_mm": None}
+    found = verdict("attributed", EFFECT, **told, recordings={"fit": ["a", "c"], "held_out": ["b"]})
     about = {"recording": "run", "split": "fit", "unit": "N"}
     table = [{**about, "stretch": s, "force": s - 1, "before": 0.1, "after": s - 1} for s in (1.0, 1.1, 1.2)]
     text = page_html(found, {**NOTHING, "curves": table, "errors": [{**about, "before": 4.0, "after": 1.0}]})
     assert "falls from 5 to 1.25 N; the spread between runs alone would give 1 N." in text
+    assert "; the noise of the only run alone would give 1 N." in page_html(verdict("complete", **told), NOTHING)
     shown = re.sub(r"<(script|style)[^>]*>.*?</\1>|<[^>]*>", "", text, flags=re.DOTALL)
     assert "mm" not in shown.replace("mm²", "")
     assert [line["meta"] for line in blocks(text)["curves"]["run (fit)"][0]["data"]] == ["measured", "before", "after"]

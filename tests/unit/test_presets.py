@@ -6,6 +6,7 @@ import json
 import math
 import re
 
+import bending_classes
 import make_presets
 import numpy as np
 import pytest
@@ -43,6 +44,17 @@ def test_the_stretch_of_one_fabric_lies_between_its_threads_and_says_so():
     warp, weft = map(float, re.findall(r"(\d+) along", stretch.source))
     assert stretch.low < warp < weft < stretch.high
     assert stretch.value == pytest.approx(math.sqrt(warp * weft), rel=5e-3)
+    each = [presets()["denim"].numbers[f"stretch_{thread}"] for thread in ("warp", "weft")]
+    assert [one.value for one in each] == [warp, weft]
+    assert all("the first direction is taken for the warp" in one.source for one in each)
+    assert presets()["denim"].material.stretch_ratio == pytest.approx(warp / weft)
+    assert presets()["knit"].material.stretch_ratio == 1.0  # several fabrics, whose threads are not told apart
+
+
+def test_a_fabric_bends_under_its_own_weight_not_under_that_of_the_one_beside_it():
+    density, stiffness = np.array([0.1, 0.09, 0.2]), np.array([1e-5, 0.9e-5, 1e-5])
+    near = bending_classes.lengths_near(0.1, density, stiffness)
+    assert near == pytest.approx(1e3 * (1e-4 / 9.81) ** (1 / 3) * np.ones(2), rel=1e-3)
 
 
 def test_they_are_printed_with_their_sources(clothbench):

@@ -381,6 +381,7 @@ def test_cloth_that_only_an_obstacle_holds_needs_no_grips(tmp_path):
             r"variable 'outline': grip_material 1 is at \(0.2, 0\) m, off the outline, expected it on the cloth",
         ),
         ({"thickness": -1.0}, "attribute 'thickness': found -1.0"),
+        ({"thickness": 0.5}, "attribute 'thickness': found 0.5 m, expected 0.02 m at most of a cloth 0.2 m wide"),
         (
             {"confidence": np.full((11, 25), -3.0)},
             "variable 'confidence': found -3 at frame 0, node 0, expected 0 to 1",

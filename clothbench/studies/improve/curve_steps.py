@@ -10,7 +10,7 @@ import numpy as np
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.statistics import NORMAL, third_differences
-from clothbench.recordings.curve import Curve
+from clothbench.recordings.curve import LEAST, Curve, last_rise
 
 STEPS = 60  # of the common range of stretch, where the recordings have samples enough
 HOLE = 3  # steps from one with a sample to the next, beyond which nothing is told in between
@@ -23,19 +23,28 @@ class CurveObservation:
     stretch: (S,), length over the unloaded length;
     force: (S,) N, NaN where a step has no sample;
     visible: (S,) bool, where it has;
+    samples: (S,), how many it has;
     sigma: N, what a perfect model would be off by.
     """
 
     stretch: np.ndarray
     force: np.ndarray
     visible: np.ndarray
+    samples: np.ndarray
     sigma: float
 
 
 def loading(curve: Curve) -> tuple[np.ndarray, np.ndarray]:
-    """Stretch and force (M,) of the samples up to the largest stretch: the way back is another curve."""
-    last = int(np.argmax(curve.stretch)) + 1
-    return curve.stretch[:last], curve.force[:last]
+    """Stretch and force (M,) of the last rise to the largest stretch: what comes before or after is another curve."""
+    up = last_rise(curve.stretch)
+    stretch = curve.stretch[up]
+    if np.ptp(stretch) < LEAST:
+        raise ClothbenchError(
+            f"{curve.path or curve.name}: variable 'stretch': found its largest, {stretch[-1]:.4g}, at sample "
+            f"{up.stop - 1}, and no rise to it, expected the way up; give the samples in the order of the measurement, "
+            "or leave the recording out"
+        )
+    return stretch, curve.force[up]
 
 
 def common_steps(curves: Sequence[Curve]) -> np.ndarray:
@@ -57,23 +66,33 @@ def observed(curve: Curve, edges: np.ndarray, sigma: float) -> CurveObservation:
     inside = (stretch >= edges[0]) & (stretch <= edges[-1])
     step = np.clip(np.searchsorted(edges, stretch, side="right") - 1, 0, len(edges) - 2)
     out = np.full((2, len(edges) - 1), np.nan)
+    samples = np.bincount(step[inside], minlength=len(edges) - 1)
     for k in range(len(edges) - 1):
         mine = inside & (step == k)
         if mine.any():
             out[:, k] = np.median(stretch[mine]), np.median(force[mine])
-    return CurveObservation(out[0], out[1], np.isfinite(out[1]), sigma)
+    return CurveObservation(out[0], out[1], np.isfinite(out[1]), samples, sigma)
 
 
 def floor_of(seen: Sequence[CurveObservation], curves: Sequence[Curve]) -> float:
     """What a perfect model would be off by [N]: the spread between runs, or the noise of the only one."""
     if len(seen) > 1 and math.isfinite(between := spread(seen, [curve.sample_width for curve in curves])):
         return between
-    stated = [curve.noise_sigma for curve in curves if math.isfinite(curve.noise_sigma)]
+    stated = [
+        curve.noise_sigma**2 * variance_of_median(one.samples[one.visible])
+        for one, curve in zip(seen, curves, strict=True)
+        if math.isfinite(curve.noise_sigma)
+    ]
     if stated:
-        return stated[0]
+        return float(np.sqrt(np.mean(np.concatenate(stated))))
     jumps = [third_differences(one.stretch[one.visible], one.force[one.visible]) for one in seen]
     known = np.concatenate([*jumps, []])
     return NORMAL * float(np.median(np.abs(known))) if known.size else math.nan
+
+
+def variance_of_median(samples: np.ndarray) -> np.ndarray:
+    """Of the median of so many normal samples (S,), in variances of one: π/2n of many, within 4 % of any number."""
+    return np.pi / (2 * samples + np.where(samples % 2, np.pi - 2, 2.5))
 
 
 def spread(seen: Sequence[CurveObservation], widths: Sequence[float]) -> float:

@@ -1,7 +1,7 @@
 """Evidence of force-extension curves: forces in newtons over stretch.
 
 Every run is reduced to the median force in equal steps of stretch, over the range that all fit recordings share, on
-the way up to its largest stretch. One run says little about the next: the noise is the spread between the fit
+the last way up to its largest stretch. One run says little about the next: the noise is the spread between the fit
 recordings at equal stretch, wherever there are two of them; else what one of them states or shows as noise.
 """
 

@@ -19,10 +19,11 @@ WHITE = 0.3  # correlation of one frame with the next below which a residual loo
 
 def errors_of(found: Mapping[str, Any]) -> dict[str, Any]:
     """The verdict's errors with their `unit`, mm of nodes, N of curves, sd of drapes; `unexplained` beyond what noise
-    and mesh account for.
+    and mesh account for; `alone` where there is one fit recording, beside which nothing can be spread.
     """
     if "kind" in found:
-        return {**found["error"], "unexplained": found["unexplained"]}
+        alone = len(found["recordings"]["fit"]) == 1
+        return {**found["error"], "unexplained": found["unexplained"], "alone": alone}
     return {"unit": "mm", **found["error_mm"], "unexplained": found["unexplained_mm"]}
 
 
@@ -44,7 +45,8 @@ def limits(error: Mapping[str, Any]) -> list[tuple[str, float]]:
 
 def noise_word(error: Mapping[str, Any]) -> str:
     """What noise is here; where it was not told from the mesh's error, the two."""
-    spread = {"sd": "spread between specimens", "N": "spread between runs"}
+    runs = "noise of the only run" if error.get("alone") else "spread between runs"
+    spread = {"sd": "spread between specimens", "N": runs}
     return spread.get(error["unit"], "noise" if "mesh" in error else MESHED)
 
 

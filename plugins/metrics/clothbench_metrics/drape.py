@@ -55,7 +55,7 @@ class Drape:
     """
 
     name = "drape"
-    version = 2
+    version = 3
     unit = "sd"
     kinds = frozenset({"silhouette"})
     scalarisation = "root mean square over the objectives, each in standard deviations between captures"
