@@ -52,7 +52,7 @@ def triangle_slots(
     cells[2, 0, 1:], cells[2, 1, :-1] = spacing[1, 1:-1], spacing[1, :-2]
     cells[3] = spacing[1, :-1]
     if clamped is not None and clamped.any():
-        _stiffen_clamps(cells, clamped.reshape(len(v) - 1, columns - 1, 2).all(axis=2))
+        _stiffen_clamps(cells, clamped[::2].reshape(len(v) - 1, columns - 1))
     slots = cells.reshape(4, 2, -1)[:, :, :-1].reshape(4, -1)
     return columns, np.tile(spacing.reshape(2, -1), 3), np.ascontiguousarray(slots)
 
