@@ -134,7 +134,9 @@ def _paths(sub: argparse.ArgumentParser) -> None:
 
 
 def _store(sub: argparse.ArgumentParser) -> None:
-    sub.add_argument("--out", default=DEFAULT_OUT, help="results folder, or s3://BUCKET/PREFIX (default: runs)")
+    sub.add_argument(
+        "--out", "--runs", default=DEFAULT_OUT, help="results folder, or s3://BUCKET/PREFIX (default: runs)"
+    )
 
 
 def _recordings(sub: argparse.ArgumentParser) -> None:
@@ -230,7 +232,9 @@ def _improve(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         "settings", nargs="+", metavar="KEY=VALUE",
         help="recordings=DIR model=NAME [out=DIR] [candidates=NAME,…] [seed=N] [resolution=NODES] [base=NAME,…] "
-        "[areal_density=KG_PER_M2] [executor=dask|ray|slurm]",
+        "[areal_density=KG_PER_M2] [executor=dask|ray|slurm]; besides recording=FILE damping=EFFECT "
+        "options.PLUGIN.NAME=… bounds.PARAMETER=[LOW,HIGH] data_dir=DIR jobs=N optimizer=NAME prior=CLASS rerun=false "
+        "scene.NAME=… timeout=S tracker=NAME, as docs/improve.md and run --help have them",
     )  # fmt: skip
 
 

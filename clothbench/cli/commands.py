@@ -16,7 +16,7 @@ from typing import Any
 
 from clothbench.cli.arguments import DEFAULT_OUT, parser
 from clothbench.cli.spelling import require_once
-from clothbench.core.errors import ClothbenchError, one_line, seen
+from clothbench.core.errors import ClothbenchError, nearest, one_line, seen
 from clothbench.core.output import kept_on, takes_all_letters
 
 KEEP = {"run", "improve", "suggest"}  # commands that go on where they were stopped
@@ -92,7 +92,8 @@ def key_values(settings: Sequence[str], allowed: Sequence[str]) -> dict[str, str
     for word in settings:
         key, sign, value = word.partition("=")
         if not sign or key not in allowed:
-            raise ClothbenchError(f"found {word!r}, expected {' or '.join(f'{a}=VALUE' for a in allowed)}")
+            near = nearest(key, allowed)
+            raise ClothbenchError(f"found {word!r}, {near}expected {' or '.join(f'{a}=VALUE' for a in allowed)}")
         out[key] = value
     require_once(settings)
     return out
@@ -200,7 +201,8 @@ def _import(options: argparse.Namespace) -> int:
     if not (known or os.path.exists(given)):
         names = sorted(DATASETS, key=lambda name: (not DATASETS[name].importer, name))  # recordings come first
         raise ClothbenchError(
-            f"{given}: no such file or folder, and no data set {options.name!r}; known: {', '.join(names)}"
+            f"{given}: no such file or folder, and no data set {options.name!r}; {nearest(options.name, names)}known: "
+            f"{', '.join(names)}"
         )
     if not known and is_video(given):
         settings = key_values(options.settings, SETTINGS)

@@ -18,7 +18,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from clothbench.cli.idle import say_idle, say_split
 from clothbench.cli.run import composed
 from clothbench.core.create_only import require_create_only
-from clothbench.core.errors import ClothbenchError
+from clothbench.core.errors import ClothbenchError, nearest
 from clothbench.core.files import json_text
 from clothbench.core.output import takes_all_letters
 from clothbench.engine.bucket import is_address
@@ -126,7 +126,8 @@ def settings_of(words: Sequence[str]) -> dict[str, Any]:
         key, sign, value = word.partition("=")
         first = key.partition(".")[0]
         if not sign or first not in WORDS:
-            raise ClothbenchError(f"found {word!r}, expected {' or '.join(f'{a}=VALUE' for a in SHOWN)}")
+            near = nearest(first, SHOWN)
+            raise ClothbenchError(f"found {word!r}, {near}expected {' or '.join(f'{a}=VALUE' for a in SHOWN)}")
         if key in PLAIN:
             plain[key] = value
         elif first in NESTED:  # what a plugin or a model brings is not known to the settings before

@@ -39,7 +39,7 @@ from clothbench.cli.own_suites import each_choice, require_harmless, settings_am
 from clothbench.cli.results import print_results
 from clothbench.cli.settings_help import settings_help
 from clothbench.cli.spelling import as_setting, given_twice
-from clothbench.core.errors import ClothbenchError, known_names
+from clothbench.core.errors import ClothbenchError, known_names, nearest
 from clothbench.engine.bucket import is_address
 from clothbench.engine.executors.settings import executor_settings
 from clothbench.engine.limits import Limits
@@ -131,14 +131,16 @@ def run(arguments: Sequence[str]) -> int:
 
 def require_settings(arguments: Sequence[str]) -> None:
     """Refuse an option that is none of Hydra's, and say how a setting is written."""
-    over = get_args_parser().parse_known_args(arguments)[1]
+    reader = get_args_parser()
+    over = reader.parse_known_args(arguments)[1]
     for word in (word for word in over if word.startswith("-")):
+        option = word.partition("=")[0]
         name = word.lstrip("-").partition("=")[0].replace("-", "_")
-        known = name.partition(".")[0] in KNOWN
-        remedy = (
-            f"is written {as_setting(word, arguments)} here" if known else "is no option; see clothbench run --help"
-        )
-        raise ClothbenchError(f"run: {word.partition('=')[0]} {remedy}")
+        near = nearest(name, [*KNOWN, *(known.lstrip("-") for known in reader._option_string_actions)])
+        remedy = f"is no option; {near}see clothbench run --help"
+        if name.partition(".")[0] in KNOWN:
+            remedy = f"is written {as_setting(word, arguments)} here"
+        raise ClothbenchError(f"run: {option} {remedy}")
 
 
 def say_twice(arguments: Sequence[str]) -> None:
@@ -386,7 +388,8 @@ def _one_line(fault: Exception) -> str:
     """Hydra's message without its line breaks; what the choices are, where it lists them."""
     text = str(fault).split("Config search path")[0].partition("See https://hydra.cc")[0]
     if unknown := re.match(r"Could not override '(.*)'\.\s+To append to your config", text):
-        return f"setting {unknown[1]!r} is not known; `clothbench run --cfg job` shows all that are"
+        near = nearest(unknown[1].partition(".")[0], KNOWN)
+        return f"setting {unknown[1]!r} is not known; {near}`clothbench run --cfg job` shows all that are"
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     if isinstance(fault, OverrideParseException):
         why = "" if lines[0].startswith("Lexer") else f" ({' '.join(lines)})"  # that one only points at a letter

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import re
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
-from clothbench.core.errors import ClothbenchError
+from clothbench.core.errors import ClothbenchError, nearest
 
 
 def as_setting(word: str, given: Sequence[str]) -> str:
@@ -47,8 +48,16 @@ class Reader(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         command = self.prog.partition(" ")[2]
-        remedy = self.respelled(self.given) or f"see {self.prog} --help"
+        remedy = self.respelled(self.given) or f"{self.meant(message)}see {self.prog} --help"
         raise ClothbenchError(f"{command}: {message}; {remedy}" if command else f"{message}; {remedy}")
+
+    def meant(self, message: str) -> str:
+        """ "did you mean 'leaderboard'? " of what argparse says of a word or an option that there is not."""
+        if found := re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message):
+            return nearest(found[1], (choice.strip("' ") for choice in found[2].split(",")))
+        if found := re.match(r"unrecognized arguments: (-[^\s=]*)", message):
+            return nearest(found[1], self._option_string_actions)
+        return ""
 
     def require_spelled(self, settings: Sequence[str]) -> None:
         """Refuse a KEY=VALUE of these that is an option of the command, where whatever else is said of it would

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from clothbench.cli.arguments import DEFAULT_OUT
-from clothbench.core.errors import ClothbenchError
+from clothbench.core.errors import ClothbenchError, nearest
 from clothbench.core.files import entries
 
 HERE = "127.0.0.1"
@@ -134,7 +134,7 @@ def fitted(out: Path, name: str, made: Path) -> Path:
     from clothbench.studies.calibration.film_rerun import BEST, write_film_rerun
     from clothbench.studies.improve.document import VERDICT
 
-    folder = find_cell(out, name)
+    folder = find_cell(out, name, viewed=True)
     if (file := folder / "fit.rrd").is_file():
         return file
     for best in (out / BEST).glob(f"*-{folder.name[:8]}.rrd"):
@@ -148,9 +148,10 @@ def fitted(out: Path, name: str, made: Path) -> Path:
     )
 
 
-def find_cell(out: Path, name: str) -> Path:
+def find_cell(out: Path, name: str, viewed: bool = False) -> Path:
     """The cell folder of `out` with that key, else the best cell of a case or recording of that name, else the one cell
     whose key begins so: a recording that is called 6 must not lose its name to a key that happens to begin with 6.
+    viewed: as for `best_cell_of`.
     """
     from clothbench.engine.store import KEY
 
@@ -163,7 +164,7 @@ def find_cell(out: Path, name: str) -> Path:
     found = [p for p in cells if p.name.startswith(name)]
     if (whole := out / "cells" / name) in found:
         return whole
-    if key := best_cell_of(out, name):
+    if key := best_cell_of(out, name, viewed):
         return out / "cells" / key
     if len(found) == 1:
         return found[0]
@@ -173,7 +174,8 @@ def find_cell(out: Path, name: str) -> Path:
         )
     known = names_in(out) or [p.name for p in cells]
     raise ClothbenchError(
-        f"{out}: found no case, no recording and no cell whose key begins with {name!r}; there are: {_listed(known)}"
+        f"{out}: found no case, no recording and no cell whose key begins with {name!r}; {nearest(name, known)}"
+        f"there are: {_listed(known)}"
     )
 
 
@@ -197,12 +199,15 @@ def _listed(names: list[str]) -> str:
     return ", ".join(names[:12]) + (f" and {len(names) - 12} more" if len(names) > 12 else "")
 
 
-def best_cell_of(out: Path, name: str) -> str | None:
-    """Key of the best of `cells_of` the rows of a folder. Says which it is where there are several."""
+def best_cell_of(out: Path, name: str, viewed: bool = True) -> str | None:
+    """Key of the best of `cells_of` the rows of a folder. Says which it is where there are several: beside what is
+    viewed, or else as a remark, since standard output may be a document of another command's.
+    """
     found = cells_of(fit_rows(out), name)
     if len(found) > 1:
         key, row = next(iter(found.items()))
-        print(f"view:   cell {key[:8]} ({_about(row)}); further: {', '.join(k[:8] for k in list(found)[1:9])}")
+        said = f"cell {key[:8]} ({_about(row)}); further: {', '.join(k[:8] for k in list(found)[1:9])}"
+        print(f"view:   {said}" if viewed else f"clothbench: {name}: {said}", file=sys.stdout if viewed else sys.stderr)
     return next(iter(found), None)
 
 

@@ -42,9 +42,13 @@ def one_line(text: str) -> str:
 def known_names(name: str, known: Iterable[str]) -> str:
     """What to say of a name that is none of those known: the nearest, if one is near, and all of them."""
     there = list(known)
-    close = difflib.get_close_matches(name, there, n=1)
-    hint = f"did you mean {close[0]!r}? " if close else ""
-    return f"{hint}there are: {', '.join(there) or 'none'}"
+    return f"{nearest(name, there)}there are: {', '.join(there) or 'none'}"
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """ "did you mean 'budget'? " of "budgett", for before what else is said; "" where no name is near."""
+    close = difflib.get_close_matches(name, list(known), n=1)
+    return f"did you mean {close[0]!r}? " if close else ""
 
 
 NEAR = 0.85  # alikeness of two words from which on one is the other misspelled

@@ -13,7 +13,7 @@ from pathlib import Path
 from types import MappingProxyType
 from urllib.parse import quote
 
-from clothbench.core.errors import ClothbenchError
+from clothbench.core.errors import ClothbenchError, nearest
 from clothbench.core.files import sha256
 from clothbench.core.progress import FileProgress
 
@@ -88,7 +88,7 @@ DATASETS: Mapping[str, Dataset] = MappingProxyType(
 def dataset(name: str) -> Dataset:
     """The data set of that name, or an error that lists the known ones."""
     if name not in DATASETS:
-        raise ClothbenchError(f"no data set {name!r}; known: {', '.join(DATASETS)}")
+        raise ClothbenchError(f"no data set {name!r}; {nearest(name, DATASETS)}known: {', '.join(DATASETS)}")
     return DATASETS[name]
 
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Sequence
 from html import escape
 from typing import Any
 
 Rows = Sequence[dict[str, Any]]
+POWER = re.compile(r"\^(-?[0-9]+)")  # in a unit as plugins state it
+RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def table(head: Iterable[str], body: Sequence[Sequence[str]], numeric: set[int]) -> str:
@@ -45,7 +48,9 @@ def pill(row: dict[str, Any]) -> str:
 
 
 def unit(parameter: dict[str, Any]) -> str:
-    return "–" if parameter["unit"] == "1" else parameter["unit"]
+    """As figures have it, powers raised: "m⁻⁴ s²" of "m^-4 s^2"; a dash where there is none."""
+    stated = str(parameter["unit"])
+    return "–" if stated == "1" else POWER.sub(lambda found: found[1].translate(RAISED), stated)
 
 
 def group(rows: Rows, by: Callable[[dict[str, Any]], Any]) -> dict[Any, list[dict[str, Any]]]:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import os
+
 from rich.console import Console
 
 
 def console() -> Console:
-    """Standard output; wide enough for a table where it is no terminal."""
+    """Standard output; where it is no terminal as wide as COLUMNS says, or else wide enough for a table."""
     out = Console(highlight=False)
-    return out if out.is_terminal else Console(highlight=False, width=120, color_system=None)
+    said = os.environ.get("COLUMNS", "")
+    width = int(said) if said.isdecimal() and int(said) > 0 else 120
+    return out if out.is_terminal else Console(highlight=False, width=width, color_system=None)

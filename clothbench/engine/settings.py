@@ -177,7 +177,8 @@ def refuse_strays(settings: Mapping[str, Any], known: Iterable[str], plugins: Ca
     if elsewhere := {name for name in strays if name in own}:
         elsewhere &= parameters_of_all(plugins)
     if strays := [name for name in strays if name not in elsewhere]:
-        raise ClothbenchError(f"setting 'bounds': no parameter {strays[0]!r}; there are: {', '.join(there)}")
+        name = "" if strays[0] in parameters_of_all(plugins) else strays[0]  # another model's is spelled as it is meant
+        raise ClothbenchError(f"setting 'bounds': no parameter {strays[0]!r}; {known_names(name, there)}")
 
 
 def parameters_of_all(plugins: Catalogue) -> set[str]:

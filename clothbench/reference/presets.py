@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from importlib.resources import files
 from types import MappingProxyType
 
-from clothbench.core.errors import ClothbenchError
+from clothbench.core.errors import ClothbenchError, known_names
 from clothbench.core.protocols import Material
 
 
@@ -73,6 +73,6 @@ def preset(name: str) -> Preset:
     """The class of that name, in capitals or not; else an error that says which there are."""
     if (known := name.strip().lower()) not in presets():
         raise ClothbenchError(
-            f"no preset {name!r}: there is no measured fabric of that class at hand; there are: {', '.join(presets())}"
+            f"no preset {name!r}: there is no measured fabric of that class at hand; {known_names(known, presets())}"
         )
     return presets()[known]

@@ -20,6 +20,7 @@ from rich.console import Console
 from clothbench import ClothbenchError, PointCloud, write_points, write_recording
 from clothbench.cli.commands import COMMANDS, main, parsed, print_json_rows
 from clothbench.cli.idle import say_alone, say_idle
+from clothbench.cli.improve import SHOWN
 from clothbench.cli.own_suites import require_harmless
 from clothbench.cli.run import (
     composed,
@@ -35,6 +36,7 @@ from clothbench.cli.run import (
 from clothbench.cli.settings_help import settings_help, settings_meanings
 from clothbench.core.files import whole_folder
 from clothbench.display.film import read_film
+from clothbench.display.terminal import console
 from clothbench.engine.leaderboard import ROW
 from clothbench.engine.settings import KNOWN
 from clothbench.engine.suite import plan
@@ -109,6 +111,9 @@ def test_help_answers_at_once_and_names_every_command(clothbench):
         (("export", "denim", "--to", "mujoco", "--out", "-"), "--out -: an export is a file, which others name"),
         (("run", "-m", "recording=good.nc", "--cfg", "job"), "found several of --run, -m, --cfg, --info and"),
         (("run", "--config-dir", "none", "+suite=mine"), "none: no such folder; --config-dir names one"),
+        (("import", "iri_wam_cloth_swin"), "'iri_wam_cloth_swin'; did you mean 'iri_wam_cloth_swing'? known: cusick"),
+        (("report", "uot=x"), "found 'uot=x', did you mean 'out'? expected out=VALUE"),
+        (("presets", "denimm"), "did you mean 'denim'? there are: any, cotton"),
         (("import", "iri_wam_cloth_swing", "data_dir=/nowhere"), "/nowhere is not a folder"),
         (("import", "good.nc"), "good.nc: found a recording, expected a video; see it with clothbench validate good"),
         (("import", "iri_wam_cloth_swing", "dir=x"), "expected data_dir=VALUE"),
@@ -197,6 +202,13 @@ def test_words_may_stand_behind_options():
         ("export denim to=json", "the following arguments are required: --to; to=json is written --to json here"),
         ("suggest swing runs=X", "suggest: runs=X is written --runs X here"),
         ("improve json=1 model=a recordings=b", "json=1 is written --json here"),
+        (
+            "leaderboard --jsn",
+            "unrecognized arguments: --jsn; did you mean '--json'? see clothbench leaderboard --help",
+        ),
+        ("lederboard", "did you mean 'leaderboard'? see clothbench --help"),
+        ("store chek runs", "did you mean 'check'? see clothbench store --help"),
+        ("new-plugin modle mine", "did you mean 'model'? see clothbench new-plugin --help"),
         ("leaderboard --frob", "unrecognized arguments: --frob; see clothbench leaderboard --help"),
         ("store check runs json=1", "store check: unrecognized arguments: json=1; json=1 is written --json here"),
     ],
@@ -215,6 +227,8 @@ def test_a_word_in_the_spelling_of_another_command_is_told_as_it_is_written_here
         ("--recordings rec model=mass_spring", "run: --recordings is written recordings=rec here"),
         ("--scene.spacing 0.02", "run: --scene.spacing is written scene.spacing=0.02 here"),
         ("+suite=shake --json", "run: --json is no option; see clothbench run --help"),
+        ("+suite=shake --budgett 3", "run: --budgett is no option; did you mean 'budget'? see clothbench run --help"),
+        ("--multrun", "run: --multrun is no option; did you mean 'multirun'? see clothbench run --help"),
     ],
 )
 def test_a_setting_of_run_that_is_written_as_an_option_is_told_as_it_is_written(words, said):
@@ -461,7 +475,9 @@ def test_settings_may_be_given_as_one_mapping():
         ("+options.ga.nonsense=1", "nonsense"),
         ("options.ga.seed=1", "setting 'options.ga.seed': found what a run sets; give seed=… instead"),
         ("options.gaa.population=5", "plugin in 'options' 'gaa' is not known; did you mean 'ga'?"),
-        ("bugdet=3", "setting 'bugdet' is not known; `clothbench run --cfg job` shows all"),
+        ("bugdet=3", "'bugdet' is not known; did you mean 'budget'? `clothbench run --cfg job` shows all"),
+        ("bounds.zetta=[1,2]", "no parameter 'zetta'; did you mean 'zeta'? there are: k1, k2, zeta"),
+        ("prior=denimm", "of that class at hand; did you mean 'denim'? there are: any, cotton, denim, "),
         ("model.dt=0.1", "setting 'model.dt' is not known"),
         ("options.ga.nonsense=1", "nonsense"),
         ("scene.size=1", "setting of 'scene' 'size' is not known"),
@@ -804,6 +820,24 @@ def test_keys_are_said_to_be_where_they_are(capsys):
         with pytest.raises(SystemExit):
             main(words)
         assert "clothbench leaderboard --json" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize("command", ["view swing --runs there", "leaderboard --runs there"])
+def test_a_results_folder_goes_by_the_name_that_export_has_for_it_too(command):
+    assert parsed(command.split()).out == "there"
+
+
+def test_the_help_of_improve_has_every_setting_that_it_takes(capsys):
+    with pytest.raises(SystemExit):
+        main(["improve", "--help"])
+    told = " ".join(capsys.readouterr().out.split())
+    assert [word for word in SHOWN if not re.search(rf"\b{word}(=|\.)", told)] == []
+
+
+@pytest.mark.parametrize(("columns", "width"), [("60", 60), ("", 120), ("no number", 120)])
+def test_a_table_that_is_piped_is_as_wide_as_columns_says(monkeypatch, columns, width):
+    monkeypatch.setenv("COLUMNS", columns)
+    assert console().width == width
 
 
 def test_an_empty_leaderboard_says_what_to_do(clothbench):

@@ -108,6 +108,15 @@ def test_hint_says_who_comes_nearest_and_where_and_when_most_is_left(state):
         assert said in found.hint
 
 
+def test_no_third_is_named_that_hardly_stands_out(state):
+    """As of 5.6, 5.4 and 5.6 mm, of which the lower had been named."""
+    evidence, left = state.problem.evidence, [np.full((60, 3, 3), 1e-3) for _ in range(2)]
+    left[1][40:, 2] += 1e-4
+    said = evidence.location([one.ravel() for one in left])
+    assert said.startswith("no third of the sheet has clearly more left than the others (upper 1.0 mm, middle 1.0 mm")
+    assert "; most is left in second, and there around" in said
+
+
 def test_grips_that_hold_by_forces_are_tried_and_told_as_boundary(state):
     """The engine has them among forces (`dynamics`); what they say is how the cloth was held."""
     tried = (Candidate("grip_patch", 0.5, 0.005), Candidate("quadratic_drag", 0.4, 0.005))

@@ -17,7 +17,7 @@ from clothbench.estimation.trials import Trial
 from clothbench.plugins.discovery import catalogue
 from clothbench.studies.calibration import analysis
 from clothbench.studies.calibration.analysis import ANALYSES, truth_of
-from clothbench.studies.calibration.analysis_page import analysis_section
+from clothbench.studies.calibration.analysis_page import analysis_section, figures_of, sensitivity_figures
 from clothbench.studies.calibration.analysis_tables import missing, spread
 from clothbench.studies.calibration.cell import CalibrationCell
 from clothbench.studies.calibration.schema import ANALYSIS_TABLES
@@ -274,6 +274,34 @@ def test_the_page_says_why_an_analysis_has_no_figure():
     html = analysis_section([about], tables).html
     assert "no variability: ValueError: boom" in html
     assert "no sensitivity of a: the error is constant" in html
+
+
+def bars(key, method="sobol", **numbers):
+    known = {"main": 0.5, "main_half": 0.1, "total": 0.6, "total_half": 0.1}
+    return {"key": key, "name": "a", "method": method, "reason": "", **known, **numbers}
+
+
+def test_a_sensitivity_is_drawn_once_for_all_who_searched():
+    about = {"k": "linen · m · ga", "other": "linen · m · es", "fold": "satin · m · ga"}
+    drawn = sensitivity_figures([bars("k"), bars("other"), bars("fold", main=0.4)], about, {})
+    assert [one["title"] for one in drawn] == [
+        "Sensitivity (sobol): linen · m · ga (and 1 more of the same)", "Sensitivity (sobol): satin · m · ga"
+    ]  # fmt: skip
+
+
+def test_whiskers_stand_where_intervals_are_known_and_effects_have_a_unit():
+    (drawn,) = sensitivity_figures([bars("k", "morris", total_half=None)], {"k": "fit"}, {"k": "mm"})
+    assert [one.get("error_y", {}).get("array") for one in drawn["figure"]["data"]] == [[0.1], None]
+    assert drawn["figure"]["layout"]["yaxis"]["title"]["text"] == "μ* (first bar), σ [mm]"
+    assert "95 % interval" in drawn["about"]
+
+
+@pytest.mark.parametrize(
+    ("numbers", "told"), [({}, False), ({"total": 1.05}, False), ({"total": 1.2}, True), ({"main": -0.2}, True)]
+)
+def test_shares_that_cannot_be_are_told(numbers, told):
+    (drawn,) = sensitivity_figures([bars("k", **numbers)], {"k": "fit"}, {})
+    assert ("too few samples" in figures_of([{**drawn, "number": 0}])) == told
 
 
 def test_a_fit_without_other_fabrics_says_so():

@@ -207,13 +207,13 @@ def test_settings_are_checked():
     [
         (
             {"suite": {"fold": {"fit": ["eta_b", "eta_x"]}}},
-            "'suite.fold.fit': no parameter 'eta_x'; there",
+            r"'suite.fold.fit': no parameter 'eta_x'; did you mean 'eta_m'\? there",
         ),
         (
             {"suite": {"fold": {"fit": ["grip_offset.dx"]}}, "effects": []},
             "'suite.fold.fit': no parameter 'grip",
         ),
-        ({"bounds": {"eta_x": [1.0, 2.0]}}, "'bounds': no parameter 'eta_x'; there are: eta_b"),
+        ({"bounds": {"eta_x": [1.0, 2.0]}}, r"'bounds': no parameter 'eta_x'; did you mean 'eta_m'\? there are: eta_b"),
         (
             {"suite": {"fold": {"fit": ["nu", "eta_b"]}}, "bounds": {}},
             "'suite.fold.fit' begins with 'nu', expected 'eta_b'",

@@ -9,6 +9,7 @@ from clothbench_optimizers.evolution import HybridEa, SimpleEa
 from clothbench import ClothbenchError, Evaluation, Score
 from clothbench.estimation.front import chosen, on_front
 from clothbench.studies.calibration import run
+from clothbench.studies.calibration.front_page import parallel
 from clothbench.studies.calibration.plan import choice_of
 from clothbench.studies.calibration.tables import fit_and_least
 from clothbench.testing.toys import bowl, partly_lost
@@ -53,6 +54,11 @@ def test_the_nearest_of_several_recordings_is_on_the_front():
 def test_a_front_without_its_fit_is_shown_without_it():
     rows = [{"objective": "dc", "evaluation": 1, "chosen": False, "distance": 1.0}]
     assert fit_and_least(rows) == []
+
+
+def test_the_names_of_the_outer_objectives_have_room():
+    rows = [{"objective": o, "evaluation": 1, "chosen": True, "spreads": 1.0} for o in ("drape", "unevenness")]
+    assert parallel(rows)["layout"]["xaxis"]["range"] == [-0.5, 1.5]
 
 
 def test_an_unknown_choice_is_refused():

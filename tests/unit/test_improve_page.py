@@ -11,6 +11,7 @@ from test_page import checked
 from clothbench.core.optional import EFFECT_FAMILIES
 from clothbench.display.names import duration
 from clothbench.studies.improve.drawings import DRAWINGS, drawing
+from clothbench.studies.improve.figures import stage_figure
 from clothbench.studies.improve.missing_page import balance_section
 from clothbench.studies.improve.page import page_html
 from clothbench.studies.improve.schema import IMPROVE_TABLES
@@ -149,7 +150,12 @@ def test_curves_are_told_in_newtons():
     ("found", "said"),
     [
         (verdict("complete"), "lacks nothing above the noise: 5.00 mm on the held-out recordings"),
-        (verdict("unexplained"), "leaves 0.50 mm beyond noise and mesh that no candidate explains"),
+        (
+            verdict("unexplained"),
+            "leaves 0.50 mm beyond noise and mesh on the recordings fitted (4.75 mm) that no candidate explains; 5.00 "
+            "mm on the held-out recordings",
+        ),
+        (verdict("unexplained", unexplained_mm=24**0.5), "beyond noise and mesh that no candidate explains: 5.00 mm"),
         (
             verdict("attributed", EFFECT),
             "lacks <b>lag</b>: late &lt;i&gt; (delay = 0.05 s). The error on the held-out recordings falls",
@@ -162,6 +168,25 @@ def test_curves_are_told_in_newtons():
 )
 def test_the_verdict_is_one_sentence_or_two(found, said):
     assert said in sentence(found)
+
+
+def test_of_which_recordings_something_is_left_is_said():
+    """What is beyond the noise on those fitted had stood before the error of those held out, as if they were one."""
+    found = verdict("unexplained", unexplained_mm=(4.75**2 - 1) ** 0.5)
+    assert "beyond noise and mesh remain, fit<" in page_html(found, rows())
+    assert remains(found, rows())[0] == "4.64 mm beyond noise and mesh on the recordings fitted (4.75 mm)."
+    unseen = verdict("unexplained", unexplained_mm=24**0.5)
+    assert "beyond noise and mesh remain, held out<" in page_html(unseen, rows())
+    found["error_mm"]["held_out"] |= {"before": None, "after": None}
+    assert remains(found, rows())[0] == "4.64 mm beyond noise and mesh."
+    assert "that no candidate explains: 4.00 mm on the fit recordings" in sentence(found)
+
+
+def test_words_beside_bars_have_room():
+    stages = [{"stage": s, "wall_s": w, "evaluations": 7} for s, w in (("calibrate", 100.0), ("refits", 3.0))]
+    drawn = stage_figure(stages)
+    assert drawn["layout"]["xaxis"]["range"][1] == pytest.approx(180.0)
+    assert drawn["data"][0]["text"] == ["3.0 s, 7", "100.0 s, 7"]
 
 
 def test_what_remains_says_where_when_and_how():

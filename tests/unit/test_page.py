@@ -16,14 +16,15 @@ from rich.console import Console
 from test_rerun_file import small_cell
 
 from clothbench.display.failures import failures, places
-from clothbench.display.html import table
+from clothbench.display.html import table, unit
 from clothbench.display.parameters import parameters
-from clothbench.display.plotly import thinned
+from clothbench.display.plotly import log_axis, thinned
 from clothbench.engine.run import run_cell
 from clothbench.engine.store import Store
 from clothbench.report.page import failure_list, what_was_run, write_page
 from clothbench.studies.calibration.figure_data import best_so_far
 from clothbench.studies.calibration.leaderboard import leaderboard
+from clothbench.studies.calibration.page import drape_called, step_called, strip
 from clothbench.studies.calibration.tables import error_table
 
 VOID = {"meta", "br", "input"}
@@ -148,6 +149,18 @@ def test_failed_cells_that_would_be_called_the_same_are_told_apart():
     assert "s · c · m · o · m0 · r · seed 1 · budget 9 · settings bbbbbb: why 0" in failure_list(rows)
 
 
+def test_pictures_open_at_their_own_size_and_say_what_they_show(tmp_path):
+    """Captions had been names of files, "1 held out medium held_out"."""
+    picture = tmp_path / "1 held out medium held_out.png"
+    picture.write_bytes(b"")
+    html = strip([picture], drape_called([{"recording": "medium/held_out"}, {"recording": None}]), "outlines of drapes")
+    assert "<figcaption>medium/held_out, held out</figcaption>" in html
+    assert 'alt="medium/held_out, held out: outlines of drapes"' in html
+    assert '<details class="picture"><summary><img' in html
+    assert drape_called([])("0 fitted a b") == "a b, fitted"
+    assert step_called("2 outliers") == "step 2: outliers"
+
+
 def test_text_is_escaped_everywhere(results):
     text, _ = checked(write_page(results))
     assert "cotton &lt;b&gt;" in text
@@ -246,6 +259,18 @@ def test_best_so_far_skips_what_could_not_be_computed():
     assert best_so_far(np.array([np.nan, 5.0, 7.0, 3.0, np.nan])) == ([2, 4, 5], [5.0, 3.0, 3.0])
     assert best_so_far(np.array([np.nan])) == ([], [])
     assert best_so_far(np.array([])) == ([], [])
+
+
+def test_ticks_of_a_logarithmic_axis_are_written_in_full():
+    """plotly's own had been 0.1, 2, 3 … 9, 1."""
+    wide, close = log_axis([0.1, 1.2]), log_axis([3400.0, 8000.0])
+    assert wide["ticktext"][:4] == ["0.1", "0.2", "0.5", "1"]
+    assert sum(3400 <= tick <= 8000 for tick in close["tickvals"]) > 2
+    assert log_axis([])["type"] == "log"
+
+
+def test_powers_in_units_are_raised_as_in_figures():
+    assert [unit({"unit": word}) for word in ("m^-4 s^2", "N/m", "1")] == ["m⁻⁴ s²", "N/m", "–"]
 
 
 def test_thinned_keeps_means_and_gaps():

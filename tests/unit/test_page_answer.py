@@ -20,12 +20,12 @@ from clothbench.display.templates import rendered
 from clothbench.engine.study import Results
 from clothbench.estimation.intervals import error_interval
 from clothbench.report.page import what_was_run
-from clothbench.studies.calibration.answer import HERE, lead, leading_metric, mean_of
+from clothbench.studies.calibration.answer import HERE, lead, leading_metric, mean_of, parameter_cards
 from clothbench.studies.calibration.asked import with_settings
 from clothbench.studies.calibration.budget import late_fall, settled
 from clothbench.studies.calibration.estimates import contained, estimates
 from clothbench.studies.calibration.leaderboard import leaderboard, same_in_all
-from clothbench.studies.calibration.matrix import HOTTEST, one_way, several_ways
+from clothbench.studies.calibration.matrix import HOTTEST, metrics_of, one_way, several_ways
 from clothbench.studies.calibration.page import told_by_unit
 from clothbench.studies.calibration.parameters_page import exact, group_by_key, model_table, strip_of, truth_said
 from clothbench.studies.calibration.parameters_page import numbers as parameter_numbers
@@ -549,11 +549,56 @@ def test_of_several_seeds_the_cell_that_fits_best_is_shown():
 
 def test_what_is_alike_in_all_lines_is_said_once():
     some = rows_of({"a": [1.0, 2.0]})
-    assert same_in_all(some) == "model a, optimizer ga, seed 0"
+    assert same_in_all(some) == "model a, optimizer ga, fitted by fold, seed 0"
     heads = leaderboard(some).split("<tbody>")[0]
     assert "optimizer" not in heads
     assert "status" not in heads
     assert "status" in leaderboard([*some, row("a", "satin", None, None)])
+
+
+def test_lines_of_two_objectives_are_told_apart():
+    some = [row("a", "linen", "linen/x", 1.0, objective=o, key=o) for o in ("fold", "node_error")]
+    heads, body, *_ = leaderboard(some).split("<tbody>")
+    assert "fitted by" in heads
+    assert "<td>fold</td><td>node_error</td>" in body  # judged by, fitted by
+    assert "fitted by" not in leaderboard(some[:1])
+    assert "fitted by" not in same_in_all([r | {"objective": None} for r in some])
+
+
+def test_the_table_opens_on_the_metric_of_the_answer():
+    """Of two that were minimised the first by name had come first, by which the answer does not judge."""
+    some = [row("a", "linen", "linen/x", 1.0, objective=o, metric=m, floor=0.5 if m == "node_error" else None, key=o)
+            for o in ("fold", "node_error") for m in ("fold", "node_error", "chamfer")]  # fmt: skip
+    assert leading_metric(some) == "node_error"
+    assert metrics_of(some) == ["node_error", "fold", "chamfer"]
+
+
+def test_what_was_not_run_yet_is_not_said_to_have_failed():
+    """As where a run was stopped: of one way there is no cell of the second case."""
+    some = [r for case in ("linen", "satin") for r in rows_of({"a": [1.0, 2.0, 3.0], "b": [2.0, 4.0, 6.1]}, case)]
+    some += rows_of({"c": [3.0, 6.0, 9.0]})
+    said = told(some, "fold")
+    assert said.endswith("Not ranked, since they have not been run in every case yet: c.")
+    assert "came to no number" not in said
+    lost = told([*some, row("c", "wool", None, None), *rows_of({"a": [1.0], "b": [2.0]}, "wool")], "fold")
+    assert "since some of their fits came to no number: c." in lost
+    assert "not been run" not in lost
+    alone = told([r for r in some if r["model"] != "b"], "fold")
+    assert alone.startswith("Only a is ranked.")
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        ({"bend": 2e-4}, "bend in at least half of the fits"),
+        ({"bend": 2e-4, "drag": 1e-2}, "bend in at least half of the fits, its other parameters in fewer or in none"),
+    ],
+)
+def test_other_parameters_are_spoken_of_where_there_are_some(names, said):
+    found = [parameter(name=name, low=1e-7 if high > 1e-3 else 5e-5, high=high) for name, high in names.items()]
+    results: Any = SimpleNamespace(table=lambda name: found)
+    (first, *_) = parameter_cards(results, {"k"})
+    assert first.said == said
 
 
 def test_numbers_have_three_digits():
@@ -719,6 +764,8 @@ def test_folds_of_one_fabric_are_told_apart_by_what_differs():
                   "sheet": 9.0, "wall_s": 1.0, "x": 0.9, "z": 0.1} for r in rows]  # fmt: skip
         section = fold_section(rows, steps)
         last, by_step, path = section.data["folds"]
+        assert by_step["layout"]["xaxis"]["dtick"] == 1
+        assert {"0.5", "1"} <= set(by_step["layout"]["yaxis"]["ticktext"])  # plotly's own say "5" and "1"
         told = last["data"][0]["text"]
         assert last["layout"]["yaxis"]["ticktext"] == [line["name"] for line in by_step["data"]] == told
         assert [line["name"] for line in path["data"][2:]] == told

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from browser_page import Page, started
@@ -28,6 +29,7 @@ from clothbench.recordings.kinds import read_sheet
 from clothbench.report.page import write_page
 from clothbench.report.watch import BESIDE, watching
 from clothbench.studies.calibration.cell import CalibrationCell
+from clothbench.studies.calibration.page import step_called, strip
 from clothbench.studies.improve.page import page_html
 from clothbench.vision.render import striped
 
@@ -149,6 +151,56 @@ def test_nothing_sticks_out_on_a_phone_or_in_the_dark(page, filmed, width, dark)
     shown.wait(READY)
     assert shown.run("return document.documentElement.scrollWidth") <= width
     assert shown.faults() == []
+
+
+@pytest.mark.parametrize("which", ["swings", "improved"])
+def test_no_bar_lies_over_a_heading_that_was_gone_to(page, which, request):
+    """The bar with the choices had stuck over everything that came after it, to the end of the page."""
+    script = """return [...document.querySelectorAll("h2[id]")].filter((heading) => {
+        heading.scrollIntoView();
+        const box = heading.getBoundingClientRect();
+        const above = document.elementFromPoint(box.left + 10, box.top + box.height / 2);
+        return above && !heading.contains(above);
+    }).map((heading) => heading.textContent);"""
+    shown = page(request.getfixturevalue(which))
+    shown.wait("document.querySelector('.menu.top')")
+    assert shown.run(script) == []
+    sticks = "return getComputedStyle(document.querySelector('.menu.top')).position"
+    assert shown.run(sticks) == "sticky"
+    assert page(request.getfixturevalue(which), width=390).run(sticks) == "static"
+
+
+def test_a_picture_opens_at_its_own_size(page, tmp_path):
+    cv2.imwrite(str(tmp_path / "2 outliers.png"), np.full((520, 400, 3), 255, np.uint8))
+    shown = tmp_path / "pictures.html"
+    found = strip([tmp_path / "2 outliers.png"], step_called, "what the tracker made of the frame")
+    shown.write_text(whole_page("pictures", [Section(f"<h1>Pictures</h1>{found}")]), encoding="utf-8")
+    script = """const part = document.querySelector(".picture"), picture = part.querySelector("img");
+        const before = picture.clientHeight;
+        picture.click();
+        const opened = [part.open, picture.clientHeight === picture.naturalHeight];
+        picture.click();
+        return [before, ...opened, part.open, picture.clientHeight];"""
+    assert page(shown).run(script) == [190, True, True, False, 190]
+    assert page(shown).barriers() == []
+
+
+def test_long_names_stay_beside_their_bars_and_long_choices_on_a_phone(page, swings):
+    script = """for (const head of document.querySelectorAll('.strips th[scope="row"]')) {
+            head.textContent = "satin/waving-1 · annealing · by node_error · fitted to satin/waving-1, satin/waving-2";
+        }
+        for (const choice of document.querySelectorAll(".player select")) {
+            choice.replaceChildren(new Option("satin/waving-1 of the second fabric · node_error (held out)"));
+        }
+        const heads = [...document.querySelectorAll('.strips th[scope="row"]')];
+        return [heads.filter((head) => head.scrollWidth > head.clientWidth + 1).length,
+            document.documentElement.scrollWidth];"""
+    for width in (1280, 390):
+        shown = page(swings, width=width)
+        shown.wait(READY)
+        over, wide = shown.run(script)
+        assert over == 0
+        assert wide <= width
 
 
 def test_the_page_is_painted_before_figures_are_unpacked(page, filmed):

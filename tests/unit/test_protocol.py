@@ -69,13 +69,16 @@ def test_a_parameter_with_a_number_is_held_in_all_cases(tmp_path):
 @pytest.mark.parametrize(
     ("suite", "found"),
     [
-        ({"fixed": {"zta": 0.2}}, "'suite.fixed': no parameter 'zta'; there are: k1, k2, zeta"),
+        ({"fixed": {"zta": 0.2}}, r"'suite.fixed': no parameter 'zta'; did you mean 'zeta'\? there are: k1, k2, zeta"),
         (
             {"fixed": {"silkk/*": {"zeta": 0.2}}},
             r"'suite.fixed': 'silkk/\*' matches none of the cases silk/sway-1, .*~suite",
         ),
         ({"textile": {"sikl/sway-1": "soft", "wool/*": "stiff"}}, "'suite.textile': 'sikl/sway-1' matches none"),
-        ({"fixed": {"*": {"zta": 0.2}}}, "'suite.fixed': no parameter 'zta'; there are: k1, k2, zeta"),
+        (
+            {"fixed": {"*": {"zta": 0.2}}},
+            r"'suite.fixed': no parameter 'zta'; did you mean 'zeta'\? there are: k1, k2, zeta",
+        ),
         ({"fixed": {"*": {"zeta": -0.2}}}, "'zeta' is fixed at -0.2 1, expected 0 or above"),
         ({"effects": {"mass_sprng": ["added_mass"]}}, "'suite.effects': no model named .* did you mean 'mass_spring'"),
         ({"published": {"node_eror": {"paper": 1.0}}}, "'suite.published': no metric named .* 'node_error'"),
@@ -121,7 +124,7 @@ def test_bounds_may_be_of_parameters_that_only_some_cells_search(tmp_path):
     suite = {"fixed": {"silk/*": {"zeta": 0.2}}}
     found = plan(config(stand_ins(tmp_path), suite=suite, bounds={"zeta": [0.1, 0.5]}), catalogue())
     assert len(found) == 4
-    with pytest.raises(ClothbenchError, match="no parameter 'zta'; there are: k1, k2, zeta"):
+    with pytest.raises(ClothbenchError, match=r"no parameter 'zta'; did you mean 'zeta'\? there are: k1, k2, zeta"):
         plan(config(tmp_path, suite=suite, bounds={"zta": [0.1, 0.5]}), catalogue())
 
 

@@ -267,6 +267,10 @@ def test_errors_of_several_metrics_are_not_compared(tmp_path, monkeypatch, capsy
         kept(*one)
     assert view.best_cell_of(tmp_path, "c") == "b" * 16
     assert "further: aaaaaaaa, cccccccc" in capsys.readouterr().out
+    assert view.find_cell(tmp_path, "c").name == "b" * 16  # as export and suggest ask, whose output is their own
+    out, remark = capsys.readouterr()
+    assert out == ""
+    assert remark == "clothbench: c: cell bbbbbbbb (c · m · o · node_error); further: aaaaaaaa, cccccccc\n"
     monkeypatch.setattr(film_rerun, "write_film_rerun", lambda path, *_: path.touch())
     names = [path.name[-12:] for path in write_best(Store(tmp_path), [key for key, _, _ in errors])]
     assert names == ["cccccccc.rrd", "bbbbbbbb.rrd"]

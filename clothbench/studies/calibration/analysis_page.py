@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from clothbench.studies.calibration.analysis_tables import MISSING, MUCH, NO_BAR
 from clothbench.studies.calibration.matrix import HOTTEST
 from clothbench.studies.calibration.ranking import cell_names
 from clothbench.studies.calibration.transfer import Confusion, Transfer, confusions, transfers
+from clothbench.studies.calibration.words import listed
 
 Rows = Sequence[dict[str, Any]]
 MANY = 6  # figures of one kind that all are shown at once
@@ -22,9 +23,10 @@ VARIABILITY = f"""By how many percent a parameter has to change to change the er
 not determined; what would take more than {MUCH:g} % is drawn as that."""
 SENSITIVITY = {
     "morris": """How much the error depends on each parameter over its whole range. μ*: mean size of its elementary
-effects, tall is important; σ: how much they differ from place to place, tall means curved, or bound up with others.""",
+effects, tall is important; σ: how much they differ from place to place, tall means curved, or bound up with others.
+Whisker of μ*: its 95 % interval; of σ none is known.""",
     "sobol": """Shares of the error's variance over the whole ranges. S1: by this parameter alone; ST: with all that it
-is bound up with. Near 0: the data say nothing about it.""",
+is bound up with. Near 0: the data say nothing about it. Whiskers: 95 % intervals.""",
 }
 MAP = """The error over the ranges of two parameters, the others at their best; dark is low. A dark valley that runs
 across the map is a combination that the data do not tell apart."""
@@ -45,7 +47,8 @@ def analysis_section(rows: Rows, tables: dict[str, Rows]) -> Section | None:
     parts += [f"<h2>Trial by trial</h2>{transfer(moved)}"] if moved else []
     parts += [repeats(tables["repeats"], about)] if tables["repeats"] else []
     shown = variability_figures(tables["variability"], about)
-    shown += sensitivity_figures(tables["sensitivity"], about) + map_figures(tables["map"], about)
+    units = {r["key"]: r["unit"] for r in rows if r["metric"] == r["objective"] and r["unit"]}
+    shown += sensitivity_figures(tables["sensitivity"], about, units) + map_figures(tables["map"], about)
     parts += [f'<p class="soft">{text(reason)}</p>' for reason in missing(tables, about, MISSING | NO_BARS)]
     if not parts and not shown:
         return None
@@ -60,7 +63,11 @@ def analysis_section(rows: Rows, tables: dict[str, Rows]) -> Section | None:
 
 def figures_of(some: Rows) -> str:
     """Figures of one kind: what they show is said once, and of many all but the first are folded away."""
-    drawn = [f'<h3>{text(one["title"])}</h3><figure><div id="analysis-{one["number"]}"></div></figure>' for one in some]
+    drawn = [
+        f"<h3>{text(one['title'])}</h3><figure>{noted(one.get('note', ''))}"
+        f'<div id="analysis-{one["number"]}"></div></figure>'
+        for one in some
+    ]
     about = f'<p class="soft">{text(some[0]["about"])}</p>'
     first, _, rest = drawn[0].partition("<figure>")
     drawn[0] = f"{first}{about}<figure>{rest}"
@@ -69,6 +76,10 @@ def figures_of(some: Rows) -> str:
     kind = text(some[0]["title"].partition(":")[0])
     folded = f"<details><summary>{kind} of {len(drawn) - 1} more fits</summary>{''.join(drawn[1:])}</details>"
     return drawn[0] + folded
+
+
+def noted(said: str) -> str:
+    return f"<figcaption>{text(said)}</figcaption>" if said else ""
 
 
 def transfer(moved: Sequence[Transfer]) -> str:
@@ -134,27 +145,57 @@ def variability_figures(rows: Rows, about: dict[str, str]) -> list[dict[str, Any
             said = {"text": [percent(r["percent"]) for r in mine], "hovertemplate": "%{x}: %{text}<extra></extra>"}
             look = {"type": "bar", "marker": {"color": COLOURS[0]}}
             bars = {**look, "x": [r["name"] for r in mine], "y": heights, **said}
-            layout = _layout("", "change [%] for 1 % of error", 360)
+            layout = _layout("", "change [%]", 360)
             out.append({"title": f"Variability: {about[key]}", "about": VARIABILITY,
                         "figure": {"data": [bars], "layout": layout}})  # fmt: skip
     return out
 
 
-def sensitivity_figures(rows: Rows, about: dict[str, str]) -> list[dict[str, Any]]:
+def sensitivity_figures(rows: Rows, about: dict[str, str], units: Mapping[str, str]) -> list[dict[str, Any]]:
+    """Bars per cell and method; once of cells for which they are the same, as whoever searched has no part in it.
+    units: of the error, by the key of a cell.
+    """
+    found: dict[tuple[Any, ...], list[str]] = {}
+    known = [r for r in rows if r["main"] is not None]
+    for (key, method), mine in group(known, lambda r: (r["key"], r["method"])).items():
+        bars = tuple(tuple(r[n] for n in ("name", "main", "main_half", "total", "total_half")) for r in mine)
+        found.setdefault((method, units.get(key, ""), bars), []).append(key)
     out = []
-    for key, method in dict.fromkeys((r["key"], r["method"]) for r in rows if r["main"] is not None):
-        mine = [r for r in rows if (r["key"], r["method"]) == (key, method)]
-        names, pair = [r["name"] for r in mine], ("μ*", "σ") if method == "morris" else ("S1", "ST")
-        data = []
-        for column, colour, word in (("main", COLOURS[0], pair[0]), ("total", COLOURS[1], pair[1])):
-            half = [r[f"{column}_half"] or 0.0 for r in mine]
-            data.append({"type": "bar", "x": names, "y": [r[column] for r in mine], "marker": {"color": colour},
-                         "error_y": {"type": "data", "array": half},
-                         "hovertemplate": f"{word} of %{{x}}: %{{y:.3g}}<extra></extra>"})  # fmt: skip
-        layout = {**_layout("", f"{pair[0]} (first bar), {pair[1]}", 360), "barmode": "group"}
-        out.append({"title": f"Sensitivity ({method}): {about[key]}", "about": SENSITIVITY[method],
-                    "figure": {"data": data, "layout": layout}})  # fmt: skip
+    for (method, unit, bars), keys in found.items():
+        others = f" (and {len(keys) - 1} more of the same)" if len(keys) > 1 else ""
+        title = f"Sensitivity ({method}): {about[keys[0]]}{others}"
+        figure = bars_of(method, unit, bars)
+        out.append({"title": title, "about": SENSITIVITY[method], "figure": figure, "note": too_few(method, bars)})
     return out
+
+
+def bars_of(method: str, unit: str, bars: Sequence[tuple[Any, ...]]) -> dict[str, Any]:
+    """Two bars for each parameter, with whiskers where half widths are known. bars: (name, main, half, total, half)."""
+    words, names = ("μ*", "σ") if method == "morris" else ("S1", "ST"), [bar[0] for bar in bars]
+    data = []
+    for word, colour, at in zip(words, COLOURS, (1, 3), strict=False):
+        drawn = {"type": "bar", "x": names, "y": [bar[at] for bar in bars], "marker": {"color": colour},
+                 "hovertemplate": f"{word} of %{{x}}: %{{y:.3g}}<extra></extra>"}  # fmt: skip
+        halves = [bar[at + 1] for bar in bars]
+        if any(half is not None for half in halves):
+            drawn["error_y"] = {"type": "data", "array": halves}
+        data.append(drawn)
+    measured = f" [{unit}]" if method == "morris" and unit else ""
+    layout = _layout("", f"{words[0]} (first bar), {words[1]}{measured}", 360)
+    return {"data": data, "layout": {**layout, "barmode": "group"}}
+
+
+def too_few(method: str, bars: Sequence[tuple[Any, ...]]) -> str:
+    """A word on shares that cannot be, by more than their half widths; "" where there are none."""
+    if method != "sobol":
+        return ""
+    beyond = [
+        name
+        for name, first, first_half, total, total_half in bars
+        if first + (first_half or 0.0) < 0 or (total or 0.0) - (total_half or 0.0) > 1
+    ]
+    said = "a share below 0 or above 1 by more than its interval, which cannot be: there are too few samples"
+    return f"{listed(beyond)}: {said} (analysis.sobol.samples)." if beyond else ""
 
 
 def map_figures(rows: Rows, about: dict[str, str]) -> list[dict[str, Any]]:

@@ -79,10 +79,12 @@ def lead(
     lacks = {way: [case[way] for case in cases.values() if way in case and case[way].value is None] for way in out}
     unjudged = {way for way, some in lacks.items() if some and all(s.unjudged for s in some)}
     unseen = {way for way in unjudged if any(s.unjudged == NOTHING_HELD_OUT for s in lacks[way])}
+    unrun = {way for way, some in lacks.items() if not some}  # it lacks a number only where it has no fit
     return {
         "ways": [one.way for one in ranked], "ties": ties, "cases": len(cases), "wins": wins, "metric": metric,
         "behind": [(one.way, times(one)) for one in ranked[1:] if not one.tied],
-        "left": sorted(out - unjudged), "unjudged": sorted(unjudged - unseen), "unseen": sorted(unseen),
+        "left": sorted(out - unjudged - unrun), "unrun": sorted(unrun),
+        "unjudged": sorted(unjudged - unseen), "unseen": sorted(unseen),
         "alone": listed(sorted({name for case in compared for name in left_out(case)})),
         "unheld": sorted(found.keys() - cases.keys()),
         "reasons": any(s.status != "ok" for case in found.values() for s in case.values()),
@@ -176,7 +178,9 @@ def parameter_cards(results: Results, keys: set[str]) -> list[Card]:
     never = [name for name, count in counts.items() if not count]
     detail = "; ".join(filter(None, (", ".join(some), f"never: {', '.join(never)}" if never else "")))
     best = [name for name, mine in by_name if counts[name] * 2 >= len(mine)]
-    out = [Card("Parameters determined", f"{len(sure)} of {len(found)}", detail, said=listed(best))]
+    said = f"{listed(best)} in at least half of the fits" if best else ""
+    said += ", its other parameters in fewer or in none" if 0 < len(best) < len(by_name) else ""
+    out = [Card("Parameters determined", f"{len(sure)} of {len(found)}", detail, said=said)]
     if judged := [e for e in sure if e.found is not None]:
         right = sum(bool(e.found) for e in judged)
         detail = "of the determined ones, the 95 % interval holds the true value"

@@ -5,14 +5,13 @@ One panel per suite, case and metric: the page shows three figures at a time, ho
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from html import escape
 from typing import Any
 
 import numpy as np
 
-from clothbench.display.plotly import COLOURS, GREY, rounded
+from clothbench.display.plotly import COLOURS, GREY, log_axis, rounded
 from clothbench.engine.store import Store
 from clothbench.studies.calibration.figure_data import cell_tables, series_names
 from clothbench.studies.calibration.words import case_name
@@ -187,11 +186,7 @@ def _axis(title: str, logarithmic: Sequence[float] | None = None) -> dict[str, A
     """A linear axis from zero, or a logarithmic one with ticks at 1, 2, 5 around the values given."""
     if logarithmic is None:
         return {"title": {"text": title}, "rangemode": "tozero", "zeroline": False}
-    decades = range(math.floor(math.log10(min(logarithmic))), math.ceil(math.log10(max(logarithmic))) + 1)
-    ticks = [digit * 10.0**decade for decade in decades for digit in (1, 2, 5)]
-    text = [f"{tick:g}" for tick in ticks]
-    scale = {"type": "log", "tickvals": ticks, "ticktext": text, "zeroline": False}
-    return {"title": {"text": f"{title}, log scale"}, **scale}
+    return {"title": {"text": f"{title}, log scale"}, **log_axis(logarithmic)}
 
 
 def _figure(data: list[dict[str, Any]], layout: dict[str, Any]) -> dict[str, Any]:

@@ -65,7 +65,7 @@ def parallel(front: Rows) -> dict[str, Any]:
         )
     data.sort(key=lambda line: line["line"]["width"])
     axes: dict[str, Any] = {
-        "xaxis": {"type": "category"},
+        "xaxis": {"type": "category", "range": [-0.5, len(columns) - 0.5], "automargin": True},
         "yaxis": {"title": {"text": "distance [spreads]"}, "rangemode": "tozero"},
     }
     return {"data": data, "layout": axes | {"height": 320, "margin": MARGIN}}

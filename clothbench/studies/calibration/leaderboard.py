@@ -47,6 +47,7 @@ def leaderboard(rows: Rows) -> str:
 NAMES: tuple[Column, ...] = (
     ("model", lambda c: text(model_name(c[0])), False),
     ("optimizer", lambda c: text(c[0]["optimizer"]), False),
+    ("fitted by", lambda c: text(c[0]["objective"]), False),
     ("seed", lambda c: text(c[0]["seed"]), True),
 )
 
@@ -61,8 +62,8 @@ def _tells(rows: Rows, column: Column) -> bool:
 
 def same_in_all(rows: Rows) -> str:
     """What all cells have in common, in words."""
-    said = [f"{name} {make([rows[0]])}" for name, make, _ in NAMES if not _tells(rows, (name, make, False))]
-    return ", ".join(said)
+    said = {name: make([rows[0]]) for name, make, _ in NAMES if not _tells(rows, (name, make, False))}
+    return ", ".join(f"{name} {value}" for name, value in said.items() if value)
 
 
 def _filled(columns: Sequence[Column], lines: Sequence[Any]) -> str:

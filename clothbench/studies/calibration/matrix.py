@@ -16,6 +16,7 @@ from clothbench.display.section import Section
 from clothbench.display.templates import asset_of, rendered
 from clothbench.engine.study import Results
 from clothbench.plugins.discovery import catalogue
+from clothbench.studies.calibration.answer import leading_metric
 from clothbench.studies.calibration.ranking import Standing, alike, best_of, once, seeds_told, standings
 from clothbench.studies.calibration.words import case_name, counted, headed, size
 
@@ -73,9 +74,10 @@ def matrix_section(results: Results, filmed: Collection[tuple[str, str]]) -> Sec
 
 
 def metrics_of(rows: Rows) -> list[str]:
-    """What was minimised first, then what was reported beside it."""
-    objectives = sorted({r["objective"] for r in rows if r["objective"]})
-    return [*objectives, *sorted({r["metric"] for r in rows if r["metric"]} - set(objectives))]
+    """By what the answer is given first, then what else was minimised, then what was reported beside it."""
+    objectives = {r["objective"] for r in rows if r["objective"]}
+    known = [leading_metric(rows), *sorted(objectives), *sorted({r["metric"] for r in rows if r["metric"]})]
+    return [name for name in dict.fromkeys(known) if name]
 
 
 def several_ways(suite: str, metric: str, rows: Rows, links: Links) -> Matrix:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from base64 import b64encode
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from clothbench.studies.calibration.answer import answer_section
 from clothbench.studies.calibration.asked import with_settings
 from clothbench.studies.calibration.budget import histories_of
 from clothbench.studies.calibration.cloth_page import clips_of, cloth_section
+from clothbench.studies.calibration.drapes import SPLITS
 from clothbench.studies.calibration.figures import panels
 from clothbench.studies.calibration.front_page import front_section
 from clothbench.studies.calibration.leaderboard import leaderboard, same_in_all
@@ -29,12 +30,15 @@ from clothbench.studies.calibration.searches_page import searches_section
 from clothbench.studies.calibration.words import headed
 
 Rows = Sequence[dict[str, Any]]
-STEPS = '<p class="soft">The middle frame of the first recording, step by step.</p>'
+OPENS = "A click on a picture opens it at its own size."
+STEPS = f'<p class="soft">The middle frame of the first recording, step by step. {OPENS}</p>'
+STEP = "what the tracker made of the middle frame"
 ORDER = """<p class="soft">Mean error over the recordings of a split, low is good. From … to: its 95 % interval; of two
 to four recordings the least and the largest, since so few give no interval worth the name. Floor: what noise alone
 would give a perfect model on what was held out, or on what was fitted where nothing was.
 Cell: by this name <code>clothbench view</code> opens it.</p>"""
 FIGURES = """
+<section>
 <h2 id="figures">Errors, recording by recording</h2>
 <div class="menu top"><label for="panel">Show</label><select id="panel"></select><div id="legend"></div></div>
 <h3>Error per recording</h3>
@@ -51,6 +55,7 @@ end was searched to its end.</figcaption>
 <figure><figcaption>Error of the best fit in each frame; grey line: noise floor;
 grey dashes: what a paper says.</figcaption>
 <div id="trace"></div></figure></div>
+</section>
 """
 
 SCRIPT = """
@@ -155,7 +160,8 @@ def steps(results: Results) -> Section | None:
     for key, row in sorted({r["key"]: r for r in reversed(results.rows)}.items()):
         pictures = sorted((results.store.cell(key) / PICTURES).glob("*.png"))
         if pictures:
-            shown.setdefault((row["suite"], row["case"], *(p.name for p in pictures)), strip(pictures))
+            seen = (row["suite"], row["case"], *(p.name for p in pictures))
+            shown.setdefault(seen, strip(pictures, step_called, STEP))
     if not shown:
         return None
     body = "".join(f"<h3>{text(suite)} · {text(case)}</h3>{html}" for (suite, case, *_), html in shown.items())
@@ -165,31 +171,56 @@ def steps(results: Results) -> Section | None:
 def pictures_of_fits(results: Results) -> Section | None:
     """Frames of a video, tracked and fitted, of each cell that has some."""
     note = "Left as it was tracked, right the best fit, on frames of the first recording."
-    return _pictures(results, FRAMES, "*.jpg", "Tracked and fitted", note)
+    return _pictures(results, FRAMES, "*.jpg", "Tracked and fitted", note, str, "the cloth as tracked, and as fitted")
 
 
 def pictures_of_drapes(results: Results) -> Section | None:
     """Outlines of drapes, captured and simulated, of each cell that has some."""
     note = "Outlines from above: all captures in grey, the best fit from several first shapes in red; circles are the "
-    return _pictures(results, DRAPES, "*.png", "Drapes, captured and simulated", note + "plate and the flat specimen.")
+    note += "plate and the flat specimen."
+    called, shows = drape_called(results.rows), "outlines of drapes, captured in grey, simulated in red"
+    return _pictures(results, DRAPES, "*.png", "Drapes, captured and simulated", note, called, shows)
 
 
-def _pictures(results: Results, folder: str, pattern: str, title: str, about: str) -> Section | None:
+def _pictures(
+    results: Results, folder: str, pattern: str, title: str, about: str, called: Callable[[str], str], shows: str
+) -> Section | None:  # fmt: skip
     """The pictures that cells have in a folder, cell by cell."""
     parts = []
     for key, row in sorted({r["key"]: r for r in reversed(results.rows)}.items()):
         if pictures := sorted((results.store.cell(key) / folder).glob(pattern)):
             name = f"{text(row['case'])} · {model_name(row)} · {text(row['optimizer'])}"
-            parts.append(f"<h3>{name}</h3>{strip(pictures)}")
-    return Section(f'<h2>{title}</h2><p class="soft">{about}</p>{"".join(parts)}') if parts else None
+            parts.append(f"<h3>{name}</h3>{strip(pictures, called, shows)}")
+    return Section(f'<h2>{title}</h2><p class="soft">{about} {OPENS}</p>{"".join(parts)}') if parts else None
 
 
-def strip(pictures: Sequence[Path]) -> str:
-    """Pictures side by side, each named by its file: "2 outliers.png"."""
+def strip(pictures: Sequence[Path], called: Callable[[str], str], shows: str) -> str:
+    """Pictures side by side, of which each opens at its own size. called: what one is called, of its file's stem;
+    shows: what all of them are of, for those who do not see them.
+    """
     each = (
-        f'<figure><img alt="{text(p.stem)}" src="data:image/{KINDS[p.suffix]};base64,'
-        f'{b64encode(p.read_bytes()).decode()}">'
-        f"<figcaption>{text(p.stem)}</figcaption></figure>"
+        f'<figure><details class="picture"><summary><img alt="{text(called(p.stem))}: {shows}" '
+        f'src="data:image/{KINDS[p.suffix]};base64,{b64encode(p.read_bytes()).decode()}"></summary></details>'
+        f"<figcaption>{text(called(p.stem))}</figcaption></figure>"
         for p in pictures
     )
     return f'<div class="strip">{"".join(each)}</div>'
+
+
+def step_called(stem: str) -> str:
+    """ "step 2: outliers" of "2 outliers"."""
+    number, _, name = stem.partition(" ")
+    return f"step {number}: {name}"
+
+
+def drape_called(rows: Rows) -> Callable[[str], str]:
+    """What the picture of a drape is called: its recording, as these rows have it, and its split."""
+    known = {r["recording"].replace("/", " "): r["recording"] for r in rows if r["recording"]}
+
+    def called(stem: str) -> str:
+        _, _, rest = stem.partition(" ")
+        word = next((w for w in SPLITS.values() if rest.startswith(f"{w} ")), "")
+        name = rest.removeprefix(word).strip()
+        return ", ".join(filter(None, (known.get(name, name), word)))
+
+    return called

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from clothbench.core.errors import ClothbenchError
+from clothbench.core.errors import ClothbenchError, known_names
 from clothbench.core.optional import takes_option, textile_of
 from clothbench.core.progress import FileProgress
 from clothbench.engine.cells import Source, matching, plugin_versions, require_own_names, resplit
@@ -182,7 +182,8 @@ def refuse_unknown(
     known = here | parameters_of_all(plugins)
     for key, names in spoken.items():
         if strays := [name for name in names if name not in known]:
-            raise ClothbenchError(f"setting '{key}': no parameter {strays[0]!r}; there are: {', '.join(sorted(here))}")
+            there = known_names(strays[0], sorted(here))
+            raise ClothbenchError(f"setting '{key}': no parameter {strays[0]!r}; {there}")
 
 
 def _matches(case: str, patterns: Sequence[str]) -> bool:

@@ -12,7 +12,7 @@ import numpy as np
 from clothbench.display.answer import Card, answer
 from clothbench.display.html import group, pill, table, text
 from clothbench.display.names import differing
-from clothbench.display.plotly import COLOURS, GREY, rounded
+from clothbench.display.plotly import COLOURS, GREY, log_axis, rounded
 from clothbench.display.section import Section, drawing
 from clothbench.engine.study import Results
 from clothbench.studies.fold_path.tables import lines, told_by, values
@@ -138,9 +138,8 @@ def friction_figure(steps: Rows, settings: Mapping[str, str]) -> dict[str, Any]:
         name = _listed((mine[0]["fabric"], mine[0]["way"], settings[key]))
         share = np.arange(1, len(mine) + 1) / len(mine)
         data.append(_line(share, [max(s["needed"], 1e-4) for s in mine], n, name))
-    return _figure(
-        data, 380, "share of the way", {"title": {"text": "friction needed"}, "type": "log", "zeroline": False}
-    )
+    ticks = log_axis(value for line in data for value in line["y"])
+    return _figure(data, 380, "share of the way", {"title": {"text": "friction needed"}, **ticks})
 
 
 def shape_figure(points: Rows) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar
 
-from clothbench.core.errors import ClothbenchError
+from clothbench.core.errors import ClothbenchError, known_names
 from clothbench.core.parameters import ParameterSpace
 from clothbench.core.progress import FileProgress
 from clothbench.display.names import settings_word
@@ -142,7 +142,7 @@ def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | 
     for space in spaces:
         if strays := [name for name in lifted.fit if name not in space.names]:
             raise ClothbenchError(
-                f"setting 'suite.fold.fit': no parameter {strays[0]!r}; there are: {', '.join(space.names)}"
+                f"setting 'suite.fold.fit': no parameter {strays[0]!r}; {known_names(strays[0], space.names)}"
             )
     if spaces:
         refuse_strays(settings, {name for space in spaces for name in space.names}, plugins)

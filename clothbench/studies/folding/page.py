@@ -11,7 +11,7 @@ import numpy as np
 from clothbench.core.folding import circular_path, triangular_path
 from clothbench.display.html import group, pill, table, text
 from clothbench.display.parameters import parameters
-from clothbench.display.plotly import COLOURS, GREY, rounded
+from clothbench.display.plotly import COLOURS, GREY, log_axis, rounded
 from clothbench.display.section import Section, drawing
 from clothbench.engine.study import Results
 from clothbench.studies.folding.answer import answer_of
@@ -95,8 +95,10 @@ def last_figure(steps: Rows, called: Mapping[str, str]) -> dict[str, Any]:
                         "arrayminus": rounded(np.nan_to_num(middle - low)), "color": colour},
             "hovertemplate": f"%{{text}}, {word}: %{{x:.3g}}<extra></extra>",
         })  # fmt: skip
+    known = [s[n] for s in last for n in ("reference", "reference_low", "reference_high", "value", "low", "high")]
+    known = [value for value in known if value is not None]
     y = {"tickvals": list(range(len(last))), "ticktext": names, "automargin": True, "zeroline": False}
-    return _figure(data, 120 + 34 * len(last), {"title": {"text": "η_b [m⁻⁴ s²]"}, "type": "log"}, y)
+    return _figure(data, 120 + 34 * len(last), {"title": {"text": "η_b [m⁻⁴ s²]"}, **log_axis(known)}, y)
 
 
 def step_figure(steps: Rows, names: Mapping[str, str]) -> dict[str, Any]:
@@ -106,8 +108,8 @@ def step_figure(steps: Rows, names: Mapping[str, str]) -> dict[str, Any]:
         mine = [s for s in steps if s["key"] == key]
         ratio = np.array([s["value"] / s["reference"] for s in mine])
         data.append(_line([s["step"] for s in mine], rounded(ratio), n, names[key], "%{y:.2f} at step %{x}"))
-    y = {"title": {"text": "estimate over reference"}, "type": "log", "zeroline": False}
-    return _figure(data, 380, {"title": {"text": "step"}, "zeroline": False}, y, legend=True)
+    y = {"title": {"text": "estimate over reference"}, **log_axis(s["value"] / s["reference"] for s in steps)}
+    return _figure(data, 380, {"title": {"text": "step"}, "zeroline": False, "dtick": 1}, y, legend=True)
 
 
 def path_figure(steps: Rows, names: Mapping[str, str]) -> dict[str, Any]:

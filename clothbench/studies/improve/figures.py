@@ -234,17 +234,22 @@ def kernel_figure(kernel: Rows) -> Figure:
     return figure([filled, {**line, "meta": "kernel"}], "lag [s]", y_axis, height=300)
 
 
+WITH_WORDS = 1.8  # length of an axis over that of its longest bar, so that words beside it have room on a phone
+
+
 def stage_figure(stages: Rows) -> Figure:
-    """Seconds by stage, the first above."""
+    """Seconds by stage, the first above; beside each bar seconds and evaluations, for which there is room."""
     rows = list(reversed(stages))
-    text = [f"{r['wall_s']:.1f} s, {r['evaluations']} evaluations" for r in rows]
+    text = [f"{r['wall_s']:.1f} s, {r['evaluations']}" for r in rows]
     bars = {
         "type": "bar", "orientation": "h", "x": rounded([r["wall_s"] for r in rows]), "text": text, "meta": "stages",
-        "y": [escape(r["stage"]) for r in rows], "marker": {"color": COLOURS[6]}, "textposition": "auto",
-        "hovertemplate": "%{y}: %{text}<extra></extra>", "cliponaxis": False,
+        "y": [escape(r["stage"]) for r in rows], "marker": {"color": COLOURS[6]}, "textposition": "outside",
+        "hovertemplate": "%{y}: %{text} evaluations<extra></extra>", "cliponaxis": False,
     }  # fmt: skip
     y_axis = {"automargin": True, "showgrid": False, "type": "category"}
-    return figure([bars], "wall time [s]", y_axis, height=int(np.clip(90 + 30 * len(rows), 180, 900)))
+    shown = figure([bars], "wall time [s]", y_axis, height=int(np.clip(90 + 30 * len(rows), 180, 900)))
+    shown["layout"]["xaxis"]["range"] = [0.0, WITH_WORDS * max([r["wall_s"] for r in rows] + [1e-3])]
+    return shown
 
 
 def pooled(rows: Rows) -> dict[str, Any]:

@@ -16,9 +16,11 @@ torques about the grips, an identity of mechanics that needs no model. n: normal
 the upper edge down to H, g: gravity."""
 BALANCE = """Weight and inertia of the cloth as it was seen, about the line of its grips, have to balance what acts
 from outside, whatever the cloth is made of and whatever a model makes of it."""
-WHEREABOUTS = """Rms of what is left, and how many times that of the whole. p, of a part of the cloth: how often it
-would be above the rest in recording after recording by chance; of a phase: how often as much would be left in it of
-the same residual moved round in time, the best of all phases."""
+WHEREABOUTS = """Rms of what is left, and how many times that of the whole: recording by recording, of which the mean
+is told (of parts of the cloth the geometric mean, of phases that of the mean squares), which need not be the ratio of
+two numbers of this page. p, of a part of the cloth: how often it would be above the rest in recording after recording
+by chance; of a phase: how often as much would be left in it of the same residual moved round in time, the best of all
+phases."""
 
 
 def description_section(found: Mapping[str, Any] | None) -> str:

@@ -28,6 +28,7 @@ from clothbench.studies.improve.words import (
     chance,
     drawn,
     errors_of,
+    left_on,
     limits,
     p_is,
     remains,
@@ -173,7 +174,8 @@ def tiles(found: Mapping[str, Any]) -> str:
     if error.get("mesh"):
         shown.append((size(error["mesh"], unit), f"{unit} that the mesh may be wrong by"))
     left, _, words = beyond(error).partition(" ")
-    shown.append((left, f"{words} remain"))
+    split = f", {left_on(error).replace('_', ' ')}" if error["held_out"]["before"] is not None else ""
+    shown.append((left, f"{words} remain{split}"))
     inside = "".join(f'<div class="tile"><b>{text(value)}</b>{text(word)}</div>' for value, word in shown)
     return f'<div class="tiles">{inside}</div>'
 
@@ -359,7 +361,8 @@ def drift_section(drift: Rows, blocks: list[dict[str, Any]]) -> str:
 def stage_section(found: Mapping[str, Any], stages: Rows, blocks: list[dict[str, Any]]) -> str:
     if not stages:
         return ""
-    caption = f"{duration(found['wall_s'])} and {found['evaluations']} evaluations in all."
+    caption = f"{duration(found['wall_s'])} and {found['evaluations']} evaluations in all; "
+    caption += "beside each bar its seconds and evaluations."
     return "<h2>Budget by stage</h2>" + block("stages", caption, {"": [draw.stage_figure(stages)]}, blocks)
 
 

@@ -31,6 +31,7 @@ WITHOUT_NOISE = 1e-3  # of the most that a coordinate shows as its noise: one th
 LEAST_GRID = 1e-7  # m: a rounding finer than this is none that matters
 MULTIPLES = 3  # different ones of a grid, by which it is known for one
 THIRDS = ("upper", "middle", "lower")  # of a hanging sheet, along v
+CLEARLY = 1.1  # how many times what is left in any other third has to be left in one of which it is said
 
 
 class CoordinateError:
@@ -225,11 +226,15 @@ class SheetEvidence:
         sizes = {
             n: scale * float(np.sqrt(np.concatenate(rows).mean())) for n, rows in squares.items() if any(map(len, rows))
         }
-        most = max(sizes, key=lambda name: sizes[name])
+        first, *others = sorted(sizes, key=lambda name: -sizes[name])
+        alike = bool(others) and sizes[first] < CLEARLY * sizes[others[0]]
         worst = int(np.argmax([float(np.mean(one**2)) for one in residual]))
         rest = ", ".join(f"{name} {size:.1f} {unit}" for name, size in sizes.items())
         around = cases[worst].peak(residual[worst])
-        return f"most is left in the {most} third ({rest}), in {cases[worst].name}, and there around {around}"
+        where = f"most is left in the {first} third ({rest}),"
+        if alike:
+            where = f"no third of the sheet has clearly more left than the others ({rest}); most is left"
+        return f"{where} in {cases[worst].name}, and there around {around}"
 
     def tables(self, comparisons: Sequence[Comparison]) -> Mapping[str, Rows]:
         return sheet_tables(comparisons, self.unit)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -62,6 +63,23 @@ def limit_line(error: Mapping[str, Any]) -> str:
 def beyond(error: Mapping[str, Any]) -> str:
     """How much is left that noise and mesh do not account for: "0.5 mm beyond noise and mesh"."""
     return f"{size(error['unexplained'], error['unit'])} {error['unit']} beyond {limits(error)[-1][0]}"
+
+
+def left_on(error: Mapping[str, Any]) -> str:
+    """Of which recordings `unexplained` is: of those that were fitted, unless only what was held out stands out."""
+    if not error["unexplained"] or error["held_out"]["after"] is None or error["fit"]["after"] is None:
+        return "fit"
+    total = math.hypot(error["unexplained"], error["noise_floor"])
+    return min(("fit", "held_out"), key=lambda split: abs(error[split]["after"] - total))
+
+
+def left_where(error: Mapping[str, Any]) -> str:
+    """ " on the recordings fitted (8.93 mm)", where others were held out."""
+    after = error[split := left_on(error)]["after"]
+    if error["held_out"]["before"] is None or after is None:
+        return ""
+    word = "fitted" if split == "fit" else "held out"
+    return f" on the recordings {word} ({size(after, error['unit'])} {error['unit']})"
 
 
 def chance(p_value: float, draws: int = LOOP.permutations) -> str:
@@ -126,6 +144,8 @@ def sentence(found: Mapping[str, Any]) -> str:
             return f"What {model} leaves is nothing above noise and mesh, but not all of it could be judged: {rest}"
         if not error["unexplained"] and error.get("mesh"):
             return f"What {model} leaves is less than its mesh can tell, so that nothing is named: {rest}"
+        if left_on(error) != split:
+            return f"{model} leaves {beyond(error)}{left_where(error)} that no candidate explains; {rest}"
         return f"{model} leaves {beyond(error)} that no candidate explains: {rest}"
     lacks = " and ".join(named(effect) for effect in found["effects"])
     return f"{model} lacks {lacks}. The error on the {where} recordings falls from {before} to {after} {unit}; {floor}."
@@ -150,7 +170,7 @@ def named(effect: Mapping[str, Any]) -> str:
 def remains(found: Mapping[str, Any], tables: Mapping[str, Rows]) -> list[str]:
     """How large what is left is, where, when and in which direction: one HTML sentence each."""
     error = errors_of(found)
-    lines = [f"{beyond(error)}."]
+    lines = [f"{beyond(error)}{left_where(error)}."]
     if found["hint"]:
         lines.append(f"Hint: {text(found['hint'])}.")
     after = [r for r in tables["portrait"] if r["fit"] == "after"]
