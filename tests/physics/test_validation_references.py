@@ -212,10 +212,10 @@ def test_a_load_is_left_out_on_meshes_that_cannot_show_its_bend():
 
     assert [t.load for t in trials.cantilever(9)] == [0.01, 1.0, 10.0, 100.0, 1000.0, 1e4]
     assert loads(9) == [0.01, 1.0, 10.0, 100.0]
-    assert loads(19) == [0.01, 1.0, 10.0, 100.0, 1000.0]
+    assert loads(22) == [0.01, 1.0, 10.0, 100.0, 1000.0]
     assert loads(33) == [0.01, 1.0, 10.0, 100.0, 1000.0, 1e4]
     (heavy,) = [t for t in trials.cantilever(17) if t.load == 1e4]
-    assert heavy.unresolved.endswith("a mesh of 33 nodes is too coarse for it; it takes 52")
+    assert heavy.unresolved.endswith("a mesh of 33 nodes is too coarse for it; it takes 65")
 
 
 def test_a_fold_s_height_is_read_off_between_its_nodes():
