@@ -11,7 +11,7 @@ import numpy as np
 # Mid tones: at least 3:1 against a white and a near-black ground, and apart for the colour-blind.
 COLOURS = ("#0077bb", "#d55e00", "#009e73", "#b8559a", "#a67c00", "#6a6fd0", "#3a93a5", "#b5523b")
 GREY = "#8a8f98"
-CLOSE = 5.0  # times the least of an axis's values up to which the greatest has ticks of more than three digits
+CLOSE = 5.0  # times the least of an axis's values, from which on the greatest leaves room for 1, 2 and 5
 LEGEND = {"showlegend": True, "legend": {"orientation": "h", "yanchor": "bottom", "y": 1}}  # above a figure
 VIRIDIS = ("#440154", "#3b528b", "#21918c", "#5ec962", "#fde725")  # five points of the scale, from low to high
 
@@ -28,14 +28,16 @@ def thinned(time: np.ndarray, value: np.ndarray, points: int) -> tuple[list[floa
 
 
 def log_axis(values: Iterable[float]) -> dict[str, Any]:
-    """A logarithmic axis with ticks at 1, 2 and 5 of each decade around some values above 0, and at more where they lie
-    close: plotly's own say of ticks within a decade only their first digit.
+    """A logarithmic axis with ticks at 1, 2 and 5 of each decade around some values above 0: plotly's own say of ticks
+    within a decade only their first digit. Where values lie close plotly has ticks as on a linear axis, in full.
     """
     known = [v for v in values if np.isfinite(v) and v > 0] or [1.0]
+    axis: dict[str, Any] = {"type": "log", "zeroline": False}
+    if max(known) < CLOSE * min(known):
+        return axis
     decades = range(math.floor(math.log10(min(known))), math.ceil(math.log10(max(known))) + 1)
-    digits = (1, 2, 5) if max(known) > CLOSE * min(known) else (1, 1.5, 2, 3, 4, 5, 7)
-    ticks = [digit * 10.0**decade for decade in decades for digit in digits]
-    return {"type": "log", "tickvals": ticks, "ticktext": [f"{tick:g}" for tick in ticks], "zeroline": False}
+    ticks = [digit * 10.0**decade for decade in decades for digit in (1, 2, 5)]
+    return axis | {"tickvals": ticks, "ticktext": [f"{tick:g}" for tick in ticks]}
 
 
 def rounded(values: Any, digits: int = 4) -> list[Any]:

@@ -263,10 +263,17 @@ def test_best_so_far_skips_what_could_not_be_computed():
 
 def test_ticks_of_a_logarithmic_axis_are_written_in_full():
     """plotly's own had been 0.1, 2, 3 … 9, 1."""
-    wide, close = log_axis([0.1, 1.2]), log_axis([3400.0, 8000.0])
+    wide = log_axis([0.1, 1.2])
     assert wide["ticktext"][:4] == ["0.1", "0.2", "0.5", "1"]
-    assert sum(3400 <= tick <= 8000 for tick in close["tickvals"]) > 2
+    assert all(sum(least <= tick <= 5.01 * least for tick in log_axis([least, 5.01 * least])["tickvals"]) > 1
+               for least in (1.01, 2.01, 5.01))
     assert log_axis([])["type"] == "log"
+
+
+@pytest.mark.parametrize("values", [[1.05, 1.45], [3400.0, 8000.0]])
+def test_ticks_of_a_logarithmic_axis_with_values_close_together_are_plotlys(values):
+    """Those at 1, 2 and 5 had left an axis from 1.05 to 1.45 without any; plotly's stand there as on a linear one."""
+    assert log_axis(values) == {"type": "log", "zeroline": False}
 
 
 def test_powers_in_units_are_raised_as_in_figures():
