@@ -40,6 +40,7 @@ from clothbench.cli.results import print_results
 from clothbench.cli.settings_help import settings_help
 from clothbench.cli.spelling import as_setting, given_twice
 from clothbench.core.errors import ClothbenchError, known_names, nearest
+from clothbench.core.parallel import available_cores
 from clothbench.engine.bucket import is_address
 from clothbench.engine.executors.settings import executor_settings
 from clothbench.engine.limits import Limits
@@ -320,7 +321,7 @@ def _run(config: Any, sweep: Sweep | None, words: Sequence[str] = ()) -> dict[st
         say_alone(config, cells)
     say_split(cells)
     out = Path(config["out"])
-    with CellBar(cells, sweep) as bar:
+    with CellBar(cells, sweep, at_once=int(config["jobs"]) or available_cores()) as bar:
         run_cells(
             cells, out, jobs=int(config["jobs"]), rerun=bool(config["rerun"]), done=bar.done, progress=bar.tell,
             executor=executor,

@@ -23,13 +23,16 @@ from clothbench.core.progress import FileProgress
 from clothbench.display.names import duration
 from clothbench.engine.study import Cell
 
-Moment = tuple[float, float]  # s of `time.monotonic()`, and how much was done then
+Moment = tuple[float, float]  # s of `time.monotonic()`, and how many jobs were done then
+ROUNDING = 1e-9  # of a job, by which sums of shares may differ
 
 
 @dataclass
 class Sweep:
     """Where a sweep stands. jobs: how many there are, 0 if that is not known; done: of those that had something to run;
-    passed: of those that were begun, this one included; first: as of `left_at`.
+    passed: of those that were begun, this one included; first: when its pace is reckoned from, and how much was done.
+
+    What came before that tells nothing of the rest: kernels are compiled then, once for all cells.
     """
 
     jobs: int = 0
@@ -42,32 +45,30 @@ class Sweep:
         """ "job 3 of 8" """
         return f"job {self.passed} of {self.jobs}" if self.jobs else f"job {self.passed}"
 
-    def left(self, share: float) -> float | None:
-        """Seconds until its end, with such a share of this job done; None if nobody can know."""
+    def left(self, share: float, least: float = 0.0, anew: bool = False) -> float | None:
+        """Seconds until its end, with such a share of this job done; None if nobody can know, as before more than none
+        and `least` of a job was done at the pace. anew: whether that is reckoned from now on, not from the first time.
+        """
         if not self.jobs:
             return None
-        self.first = self.first or (time.monotonic(), self.done + share)
-        return left_at(self.first, self.done + share, self.jobs - self.passed + 1 - share)
-
-
-def left_at(first: Moment, done: float, rest: float) -> float | None:
-    """Seconds for the rest at the pace since the first word of how far it is; None before the second. What came before
-    the first tells nothing of the rest: kernels are compiled then, once for all cells.
-    """
-    began, before = first
-    return (time.monotonic() - began) * rest / (done - before) if done > before else None
+        now = (time.monotonic(), self.done + share)
+        if self.first is None or anew:
+            self.first = now
+        took, more = now[0] - self.first[0], now[1] - self.first[1]
+        return took * (self.jobs - self.passed + 1 - share) / more if more > max(least - ROUNDING, 0.0) else None
 
 
 class CellBar:
     """Bars on standard error, one for all cells and one for each that is at work; where that is no terminal, one line
     per finished cell instead. With one cell there is one bar, which counts what the cell counts. sweep: of whose jobs
-    this is one.
+    this is one; at_once: how many cells run side by side, at most.
     """
 
-    def __init__(self, cells: Sequence[Cell], sweep: Sweep | None = None):
-        self.total, self.count, self.kept, self.sweep = len(cells), 0, 0, sweep
-        self.first: Moment | None = None
-        self.shares: dict[str, float] = {}  # of each cell at work, how much of it is done
+    def __init__(self, cells: Sequence[Cell], sweep: Sweep | None = None, at_once: int = 1):
+        self.total, self.count, self.kept, self.sweep, self.at_once = len(cells), 0, 0, sweep, at_once
+        self.pace = sweep or Sweep(jobs=1, passed=1)
+        self.shares: dict[str, float] = {}  # of each cell at work that has told it, how much of it is done
+        self.silent = True  # whether none has
         self.rows: dict[str, TaskID] = {}
         console = Console(stderr=True)
         self.live = console.is_terminal
@@ -92,15 +93,17 @@ class CellBar:
 
     def tell(self, cell: Cell, steps: int, value: float) -> None:
         """Word from inside a cell: so many evaluations, the best value so far; or simulations, and the last value."""
-        self.shares[cell.key] = min(steps / cell.budget, 1.0) if cell.budget else 0.0
-        note = f"{cell.value_word} {value:.4g}"
+        anew = bool(cell.budget) and cell.key not in self.shares and self.count == self.kept and not self.pace.done
+        if cell.budget:
+            self.shares[cell.key], self.silent = min(steps / cell.budget, 1.0), False
+        note, left = f"{cell.value_word} {value:.4g}", self._left(anew)
         if self.single:
-            self.bar.update(self.whole, completed=steps, note=f"{note} · {cell.label}", left=self._left())
+            self.bar.update(self.whole, completed=steps, note=f"{note} · {cell.label}", left=left)
             return
         if cell.key not in self.rows:
             self.rows[cell.key] = self.bar.add_task(f"  {cell.label}", total=cell.budget, left=cell.counts, note="")
         self.bar.update(self.rows[cell.key], completed=steps, note=note)
-        self.bar.update(self.whole, left=self._left())
+        self.bar.update(self.whole, left=left)
 
     def done(self, cell: Cell, status: str) -> None:
         """A cell has ended, with this status, or was "kept" from an earlier run."""
@@ -118,15 +121,17 @@ class CellBar:
         if self.sweep and self.count == self.total:
             self.sweep.done += self.kept < self.total
 
-    def _left(self) -> str:
-        """ "about 4 min 10 s left": of the sweep, or of this run."""
+    def _left(self, anew: bool = False) -> str:
+        """ "about 4 min 10 s left": of the sweep, or of this run. anew: whether a cell has told how far it is for the
+        first time, before any has ended: how far it had come until then, others ahead of it, is no pace.
+
+        Cells that tell nothing end in groups, as many as run side by side: a part of a group is no pace either.
+        """
         asked = self.total - self.kept
         done = self.count - self.kept + sum(self.shares.values())
-        if self.sweep:
-            rest = self.sweep.left(done / asked if asked else 1.0)
-        else:
-            self.first = self.first or (time.monotonic(), done)
-            rest = left_at(self.first, done, asked - done)
+        if not asked:
+            return ""
+        rest = self.pace.left(done / asked, min(self.at_once, asked) / asked if self.silent else 0.0, anew)
         return f"about {duration(rest)} left" if rest else ""
 
 

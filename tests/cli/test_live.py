@@ -94,6 +94,43 @@ def test_of_cells_that_say_nothing_the_second_is_the_first_to_tell_what_is_left(
     assert said == ["[1/3] ok: cell 0", "[2/3] ok: cell 1 (about 10 s left)", "[3/3] ok: cell 2"]
 
 
+@pytest.mark.parametrize("sweep", [False, True])
+def test_the_first_words_of_cells_side_by_side_are_no_pace(monkeypatch, sweep):
+    """Of two workers each cell takes 10 s, told in tenths; it had been 8 s that are left when both had told a tenth."""
+    clock = [61.0]
+    monkeypatch.setattr("clothbench.engine.progress.time", SimpleNamespace(monotonic=lambda: clock[0]))
+    cells = [
+        SimpleNamespace(key=str(k), label=f"cell {k}", budget=100, counts="evaluations", value_word="best")
+        for k in range(8)
+    ]
+    with CellBar(cells, Sweep(jobs=1, passed=1) if sweep else None, at_once=2) as bar:
+        left = []
+        for tenth in range(1, 11):
+            for cell, late in zip(cells, (0.0, 0.1), strict=False):
+                clock[0] = 60.0 + tenth + late
+                bar.tell(cell, 10 * tenth, 1.0)
+            left.append(bar.bar.tasks[0].fields["left"])
+        bar.done(cells[0], "ok")
+        bar.tell(cells[2], 10, 1.0)  # of a cell after the first that ended, whose share was done at the pace
+    assert left == ["", *(f"about {40 - tenth} s left" for tenth in range(2, 11))]
+    assert bar.bar.tasks[0].fields["left"] == "about 28 s left"
+
+
+def test_of_cells_side_by_side_that_say_nothing_as_many_have_to_end_as_run_at_once(monkeypatch, capsys):
+    clock = [0.0]
+    monkeypatch.setattr("clothbench.engine.progress.time", SimpleNamespace(monotonic=lambda: clock[0]))
+    cells = [
+        SimpleNamespace(key=str(k), label=f"cell {k}", budget=None, counts="steps", value_word="of") for k in range(6)
+    ]
+    with CellBar(cells, at_once=2) as bar:
+        for cell, clock[0] in zip(cells, (70.0, 71.0, 80.0, 81.0, 90.0, 91.0), strict=True):
+            bar.done(cell, "ok")
+    said = [line.partition("ok: ")[2] for line in capsys.readouterr().err.splitlines()]
+    assert said == [
+        "cell 0", "cell 1", "cell 2 (about 15 s left)", "cell 3 (about 7 s left)", "cell 4 (about 5 s left)", "cell 5",
+    ]  # fmt: skip
+
+
 def test_a_sweep_reckons_the_jobs_that_are_left_in_the_same_way(monkeypatch):
     clock, sweep = [60.0], Sweep(jobs=3, passed=1)
     monkeypatch.setattr("clothbench.engine.progress.time", SimpleNamespace(monotonic=lambda: clock[0]))
