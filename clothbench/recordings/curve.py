@@ -11,7 +11,7 @@ Samples stand in the order of the measurement. Attributes: `format`, `format_ver
 `direction` ("warp", "weft", "course", "wale" or "": the one along which it was pulled), `noise_sigma` [N, of one
 sample; NaN = not known], `sample_width`, `sample_length` [m, unloaded, across and along the pull; NaN = not known, as
 where a video has no scale: the ratio `stretch` needs none], `sensor`, `source`, `licence`, `declared_effects`, `motion`
-("loading" where the sample was only ever pulled further up to its largest stretch), `split`.
+("loading", or what else was done: whatever it says, of several cycles the last rise counts), `split`.
 """
 
 from __future__ import annotations
@@ -100,7 +100,6 @@ def _check(c: Curve, where: str) -> None:
     _check_values(c, where)
     _check_stretch(c.stretch, where)
     _check_stated(c, where)
-    _check_loading(c, where)
 
 
 def _check_shapes(c: Curve, where: str) -> None:
@@ -181,17 +180,6 @@ def _check_stated(c: Curve, where: str) -> None:
         )
     if c.split not in SPLITS:
         raise ClothbenchError(f"{where}: attribute 'split': found {c.split!r}, expected 'fit', 'held_out' or ''")
-
-
-def _check_loading(c: Curve, where: str) -> None:
-    """What says that it was only ever pulled further does not go back before its largest stretch."""
-    up = last_rise(c.stretch)
-    if c.motion == "loading" and up.start:
-        before, lowest = float(c.stretch[: up.start].max()), float(c.stretch[up.start])
-        raise ClothbenchError(
-            f"{where}: attribute 'motion': found 'loading' though the stretch falls from {before:.4g} to {lowest:.4g} "
-            f"at sample {up.start}, before it is largest, expected it to rise; state what it was ('cycles'), or cut it"
-        )
 
 
 def last_rise(stretch: np.ndarray) -> slice:

@@ -102,14 +102,19 @@ def test_arrays_that_do_not_belong_together_are_refused():
         pulled(stretch=np.linspace(1, 1.5, 40)[:, None])
 
 
-def test_what_is_said_to_be_loading_does_not_go_back_before_it_is_largest():
-    up, random = np.linspace(1.0, 1.5, 200), np.random.default_rng(0)
+def test_cycles_of_which_nothing_is_said_are_read_and_the_last_rise_counts(tmp_path):
+    """Written before anything was made of it, they had all been said to be loading, and were refused."""
+    up = np.linspace(1.0, 1.5, 200)
     twice = np.r_[up, up[::-1], 1 + 1.001 * (up - 1)]
-    with pytest.raises(ClothbenchError, match=r"found 'loading' though the stretch falls from 1.5 to 1 at sample 399"):
-        pulled(stretch=twice, force=np.r_[10 * (up - 1), 4 * (up[::-1] - 1), 10 * (up - 1)])
-    assert pulled(stretch=twice, force=np.arange(600.0), motion="cycles").motion == "cycles"
-    back = np.r_[up, up[::-1]]  # the way back comes after the largest stretch, and is passed over
-    assert pulled(stretch=back, force=np.arange(400.0)).motion == "loading"
+    made = pulled(stretch=twice, force=np.r_[10 * (up - 1), 4 * (up[::-1] - 1), 10 * (up - 1)])
+    read = read_curve(write_curve(made, tmp_path / "twice.nc"))
+    assert read.motion == "loading"
+    assert last_rise(read.stretch) == slice(399, 600)
+
+
+def test_noise_and_single_samples_are_no_way_back():
+    up, random = np.linspace(1.0, 1.5, 200), np.random.default_rng(0)
+    assert last_rise(np.r_[up, up[::-1]]) == slice(0, 200)  # what comes after the largest stretch is passed over
     for noise in (0.001, 0.02):  # of what a camera sees: no way back
         seen = np.linspace(1.0, 1.5, 6000) + random.normal(0, noise, 6000)
         assert last_rise(seen) == slice(0, int(np.argmax(seen)) + 1)
