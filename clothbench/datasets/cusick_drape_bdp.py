@@ -29,7 +29,8 @@ from clothbench.core.pictures import picture_of
 from clothbench.core.progress import FileProgress
 from clothbench.datasets import registry
 from clothbench.datasets.report import ImportReport, write_report
-from clothbench.recordings.silhouette import Silhouettes, write_silhouettes
+from clothbench.recordings.codec import write
+from clothbench.recordings.silhouette import LAYOUT, Silhouettes
 
 NAME, REPORT = "cusick_drape_bdp", "import-report.json"
 PIXEL, DISC, PLATE = 1.385e-3, 0.15, 0.09  # m
@@ -69,7 +70,7 @@ def convert(source: Path, out: Path, progress: FileProgress | None = None) -> li
         mine = sorted((s for s in kept if s.fabric == fabric), key=lambda s: (s.sample, s.number))
         for split, some in split_of(mine).items():
             drapes = drapes_of(fabric, split, some)
-            path = write_silhouettes(drapes, out / fabric / f"{split or 'all'}.nc")
+            path = write(drapes, out / fabric / f"{split or 'all'}.nc", LAYOUT)
             about = tuple(remarks.pop(fabric, ()))
             reports.append(ImportReport(fabric, path.relative_to(out).as_posix(), len(some), len(some), notes=about))
         if progress:

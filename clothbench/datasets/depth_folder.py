@@ -29,7 +29,8 @@ from clothbench.core.files import file_name, in_order, read_arrays, read_json
 from clothbench.core.observation import GripPath
 from clothbench.core.pictures import picture_of
 from clothbench.core.progress import FileProgress
-from clothbench.recordings.depth import LAYOUT, Colour, DepthImages, write_depth
+from clothbench.recordings.codec import write
+from clothbench.recordings.depth import LAYOUT, Colour, DepthImages
 from clothbench.recordings.kinds import read_any
 from clothbench.recordings.rig import FOR_NODES, RawRecording
 
@@ -48,7 +49,7 @@ def depth_recording(folder: Path, out: Path, progress: FileProgress | None = Non
     images = read_folder(folder, progress)
     path = out / f"{file_name(images.name)}.nc"
     require_no_other(path, images)
-    return write_depth(images, path)
+    return write(images, path, LAYOUT)
 
 
 def require_no_other(path: Path, recording: RawRecording) -> None:

@@ -25,7 +25,8 @@ from clothbench.datasets.iri_rest import noise_at_rest
 from clothbench.datasets.iri_rig import Take
 from clothbench.datasets.iri_sheets import Sheet, read_sheet
 from clothbench.datasets.report import ImportReport, write_report
-from clothbench.recordings.nodes import write_recording
+from clothbench.recordings.codec import write
+from clothbench.recordings.nodes import LAYOUT
 
 NAME = "iri_wam_cloth_swing"
 REPORT = "import-report.json"
@@ -147,7 +148,7 @@ def _convert_group(members: Sequence[Source], job: _Job) -> None:
         name, origin = job.name(sheet.source.path), _origin(sheet.source, job)
         try:
             recording, report = build(sheet, take, rig, noise, origin)
-            path = write_recording(recording, job.out / f"{sheet.source.name}.nc")
+            path = write(recording, job.out / f"{sheet.source.name}.nc", LAYOUT)
             job.done(with_paths(report, name, str(path)))
         except ClothbenchError as fault:
             job.done(ImportReport(name, frames_in=sheet.frames_in, notes=origin.remarks, skipped=str(fault)))

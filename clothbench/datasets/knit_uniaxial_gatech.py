@@ -31,7 +31,8 @@ from clothbench.core.errors import ClothbenchError
 from clothbench.core.progress import FileProgress
 from clothbench.datasets import registry
 from clothbench.datasets.report import ImportReport, write_report
-from clothbench.recordings.curve import Curve, write_curve
+from clothbench.recordings.codec import write
+from clothbench.recordings.curve import LAYOUT, Curve
 
 NAME = "knit_uniaxial_gatech"
 REPORT = "import-report.json"
@@ -111,7 +112,7 @@ def _convert_file(swatch: Swatch, out: Path, check: registry.Check) -> Iterator[
         source = f"{name}/video{number}"
         try:
             curve, dropped = curve_of(swatch, number, video, f"{name}: /video{number}")
-            path = write_curve(curve, out / swatch.folder / f"run{number}.nc")
+            path = write(curve, out / swatch.folder / f"run{number}.nc", LAYOUT)
         except ClothbenchError as fault:
             yield ImportReport(source, frames_in=len(video["forces"]), notes=remarks, skipped=str(fault))
             continue

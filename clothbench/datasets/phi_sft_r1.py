@@ -29,8 +29,9 @@ from clothbench.core.progress import FileProgress
 from clothbench.datasets import registry
 from clothbench.datasets.depth_folder import LEVEL, projected
 from clothbench.datasets.report import ImportReport, write_report
-from clothbench.recordings.colour_video import ColourVideo, write_video
-from clothbench.recordings.depth import Colour, DepthImages, write_depth
+from clothbench.recordings.codec import write
+from clothbench.recordings.colour_video import ColourVideo
+from clothbench.recordings.depth import Colour, DepthImages
 
 NAME, VIDEO = "phi_sft_r1", "phi_sft_r1_video"
 REPORT = "import-report.json"
@@ -79,7 +80,7 @@ def convert(source: Path, out: Path, progress: FileProgress | None = None) -> li
         camera=camera_of(source / "scenes" / "R1.json", 1), world="camera", sensor="colour camera, masked",
         source=f"{origin}: data/R1", **about,
     )  # fmt: skip
-    written = [write_depth(images, Path(out) / f"{NAME}.nc"), write_video(video, Path(out) / f"{VIDEO}.nc")]
+    written = [write(each, Path(out) / f"{name}.nc", each.layout) for each, name in ((images, NAME), (video, VIDEO))]
     notes = tuple(f"{name} is not in the registry: not verified" for name in sorted(check.unknown))
     reports = [ImportReport(source.name, w.name, len(clouds), len(clouds), notes=notes) for w in written]
     header = {"dataset": NAME, "source": f"{dataset.repository}@{dataset.commit}", "licence": dataset.licence}

@@ -24,7 +24,8 @@ from clothbench.core.files import file_name, in_order, read_json
 from clothbench.core.pictures import silenced
 from clothbench.core.progress import FileProgress
 from clothbench.datasets.depth_folder import camera_of, require_no_other
-from clothbench.recordings.colour_video import ColourVideo, Marks, decoded, write_video
+from clothbench.recordings.codec import write
+from clothbench.recordings.colour_video import LAYOUT, ColourVideo, Marks, decoded
 from clothbench.vision.template import Keypoints, find_template
 
 SETTINGS = ("template", "width", "height", "rate", "camera", "marks", "name", "fabric", "motion", "split",
@@ -55,7 +56,7 @@ def video_recording(source: Path, settings: Mapping[str, str], progress: FilePro
     video = read_source(source, settings, progress)
     path = Path(settings.get("out", "recordings")) / f"{file_name(video.name)}.nc"
     require_no_other(path, video)
-    return write_video(video, path)
+    return write(video, path, LAYOUT)
 
 
 def read_source(source: Path, settings: Mapping[str, str], progress: FileProgress | None = None) -> ColourVideo:

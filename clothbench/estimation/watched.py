@@ -15,8 +15,9 @@ from clothbench.core.optional import kinds_read
 from clothbench.core.protocols import Tracker
 from clothbench.engine.cells import digest, plugin_versions
 from clothbench.plugins.discovery import OWN, Catalogue
+from clothbench.recordings.codec import write
 from clothbench.recordings.kinds import AnyRecording
-from clothbench.recordings.nodes import Recording, read_recording, write_recording
+from clothbench.recordings.nodes import LAYOUT, Recording, read_recording
 from clothbench.recordings.points import PointCloud
 from clothbench.recordings.silhouette import Silhouettes
 from clothbench.recordings.tracked import Images, nodes_of, seen_in
@@ -81,7 +82,7 @@ def watched(
     key = digest([recording.hash, dict(options), plugin_versions([("trackers", tracker.name)], plugins), FORM])
     path = kept / f"{key}.nc"
     if not path.is_file():
-        write_recording(nodes_of(recording, tracked(tracker, recording)), path)
+        write(nodes_of(recording, tracked(tracker, recording)), path, LAYOUT)
     nodes = dataclasses.replace(read_recording(path), path=recording.path)  # the same in the first cell as in others
     return nodes, seen_in(nodes)
 

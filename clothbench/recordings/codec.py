@@ -73,8 +73,10 @@ def read(path: str | os.PathLike[str], layout: Layout, make: Callable[..., Recor
         return make(**content, notes=notes, path=str(path))
 
 
-def write(record: Any, path: str | os.PathLike[str], layout: Layout) -> Path:
-    """Write one file, atomically: it is there whole or not at all."""
+def write(record: Any, path: str | os.PathLike[str], layout: Layout, asked: bool = False) -> Path:
+    """Write one file, atomically: it is there whole or not at all. asked: as of `whole_file`: whether somebody named
+    this very file, which is then written through a link.
+    """
     import xarray as xr
 
     path = Path(path)
@@ -87,7 +89,7 @@ def write(record: Any, path: str | os.PathLike[str], layout: Layout) -> Path:
         for n in arrays
         if tables[n].level is not None
     }
-    with whole_file(path, asked=True) as part:
+    with whole_file(path, asked=asked) as part:
         xr.Dataset(variables, attrs=stated).to_netcdf(part, engine="h5netcdf", encoding=encoding)
     return path
 

@@ -182,8 +182,8 @@ def read_video(path: str | os.PathLike[str]) -> ColourVideo:
 
 
 def write_video(video: ColourVideo, path: str | os.PathLike[str]) -> Path:
-    """Write one file, atomically: it is there whole or not at all."""
-    return write(video, path, LAYOUT)
+    """Write one file, through a link where one is named, atomically: it is there whole or not at all."""
+    return write(video, path, LAYOUT, asked=True)
 
 
 def _check(r: ColourVideo, where: str) -> None:

@@ -90,8 +90,8 @@ def read_curve(path: str | os.PathLike[str]) -> Curve:
 
 
 def write_curve(curve: Curve, path: str | os.PathLike[str]) -> Path:
-    """Write one file, atomically: it is there whole or not at all."""
-    return write(curve, path, LAYOUT)
+    """Write one file, through a link where one is named, atomically: it is there whole or not at all."""
+    return write(curve, path, LAYOUT, asked=True)
 
 
 def _check(c: Curve, where: str) -> None:

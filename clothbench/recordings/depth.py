@@ -139,8 +139,8 @@ def read_depth(path: str | os.PathLike[str]) -> DepthImages:
 
 
 def write_depth(images: DepthImages, path: str | os.PathLike[str]) -> Path:
-    """Write one file, atomically: it is there whole or not at all."""
-    return write(images, path, LAYOUT)
+    """Write one file, through a link where one is named, atomically: it is there whole or not at all."""
+    return write(images, path, LAYOUT, asked=True)
 
 
 def _check(r: DepthImages, where: str) -> None:

@@ -78,8 +78,8 @@ def read_laser(path: str | os.PathLike[str]) -> LaserImages:
 
 
 def write_laser(images: LaserImages, path: str | os.PathLike[str]) -> Path:
-    """Write one file, atomically: it is there whole or not at all."""
-    return write(images, path, LAYOUT)
+    """Write one file, through a link where one is named, atomically: it is there whole or not at all."""
+    return write(images, path, LAYOUT, asked=True)
 
 
 def _check(r: LaserImages, where: str) -> None:

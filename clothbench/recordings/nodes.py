@@ -185,8 +185,8 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
 
 
 def write_recording(recording: Recording, path: str | os.PathLike[str]) -> Path:
-    """Write one file, atomically: it is there whole or not at all."""
-    return write(recording, path, LAYOUT)
+    """Write one file, through a link where one is named, atomically: it is there whole or not at all."""
+    return write(recording, path, LAYOUT, asked=True)
 
 
 def grips_at(recording: Any, time: np.ndarray) -> np.ndarray:

@@ -147,8 +147,8 @@ def read_points(path: str | os.PathLike[str]) -> PointCloud:
 
 
 def write_points(cloud: PointCloud, path: str | os.PathLike[str]) -> Path:
-    """Write one file, atomically: it is there whole or not at all."""
-    return write(cloud, path, LAYOUT)
+    """Write one file, through a link where one is named, atomically: it is there whole or not at all."""
+    return write(cloud, path, LAYOUT, asked=True)
 
 
 def _check(r: PointCloud, where: str) -> None:

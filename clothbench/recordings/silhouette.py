@@ -93,8 +93,8 @@ def read_silhouettes(path: str | os.PathLike[str]) -> Silhouettes:
 
 
 def write_silhouettes(silhouettes: Silhouettes, path: str | os.PathLike[str]) -> Path:
-    """Write one file, atomically: it is there whole or not at all."""
-    return write(silhouettes, path, LAYOUT)
+    """Write one file, through a link where one is named, atomically: it is there whole or not at all."""
+    return write(silhouettes, path, LAYOUT, asked=True)
 
 
 def _check(r: Silhouettes, where: str) -> None:

@@ -17,7 +17,8 @@ from clothbench.core.files import file_names, placing, sha256
 from clothbench.engine.cells import Source, plugin_versions
 from clothbench.engine.store import Store
 from clothbench.plugins.discovery import Catalogue
-from clothbench.recordings.nodes import Recording, read_recording, write_recording
+from clothbench.recordings.codec import write
+from clothbench.recordings.nodes import LAYOUT, Recording, read_recording
 from clothbench.studies.calibration.cell import CalibrationCell, asked, asked_and_fitted, set_up, uses
 from clothbench.submissions.submission import (
     WHEEL,
@@ -149,7 +150,7 @@ def _simulated(
         if moving:
             remedy = f"run it without {', '.join(moving)}, which moves grips, or how they are seen"
             require_held(f"cell {key}: {source.name}", simulated, of, remedy)
-        write_recording(simulated, path)
+        write(simulated, path, LAYOUT)
         found = compared(path, read_recording(path), of, metrics_of(cell), plugins, key)
         place = path.relative_to(folder).as_posix()
         entries.append(Entry(source.name, source.hash, place, sha256(path), found.scores, key))
