@@ -29,7 +29,7 @@ from clothbench.recordings.nodes_rules import check_near, check_shapes
 NUMBERS = ("obstacle_centre", "obstacle_normal", "obstacle_radius", "obstacle_friction")
 STATED = ("obstacle_shape", "obstacle_clamps")
 CARRIED = "obstacle_carried"
-THICKEST = 0.1  # of the shorter side of a cloth, as which its layers may be apart
+THICKEST = 0.1  # of the longer side of a cloth, as which its layers may be apart: strips are as thick as sheets
 
 
 def _pack_outline(outline: np.ndarray) -> tuple[Arrays, Stated]:
@@ -106,7 +106,7 @@ def check_supports(
     outline: np.ndarray | None, thickness: float | None, grips: np.ndarray, size: np.ndarray, where: str
 ) -> None:
     """The outline lies within the sheet of that size (2,) m, encloses something, and has the grips (G, 2) m that hold
-    cloth on it; the thickness is a length, far less than a side.
+    cloth on it; the thickness is a length, far less than the longer side.
     """
     if outline is not None:
         try:
@@ -119,13 +119,13 @@ def check_supports(
         return
     if not isinstance(thickness, Real) or not (np.isfinite(thickness) and thickness >= 0):
         raise ClothbenchError(f"{where}: attribute 'thickness': found {thickness}, expected metres, 0 or above")
-    check_thin(thickness, float(size.min()), where)
+    check_thin(thickness, float(size.max()), where)
 
 
 def check_thin(thickness: float, side: float, where: str) -> None:
-    """Cloth with a shorter side of `side` m is not as thick as that is long; a thickness of NaN is not known."""
+    """Cloth with a longer side of `side` m is not nearly as thick as that is long; a thickness of NaN is not known."""
     if thickness > THICKEST * side:
         raise ClothbenchError(
             f"{where}: attribute 'thickness': found {thickness:g} m, expected {THICKEST * side:.2g} m at most of a "
-            f"cloth {side:g} m wide; are these millimetres?"
+            f"cloth {side:g} m across; are these millimetres?"
         )

@@ -16,6 +16,7 @@ from clothbench import Camera, ClothbenchError, Obstacle, Video, read_recording,
 from clothbench.cli.commands import main
 from clothbench.recordings.nodes import find_recordings
 from clothbench.recordings.nodes_rules import stamp_rounding, while_held
+from clothbench.recordings.supports import check_supports
 from clothbench.recordings.tracked import seen_in
 
 
@@ -381,7 +382,7 @@ def test_cloth_that_only_an_obstacle_holds_needs_no_grips(tmp_path):
             r"variable 'outline': grip_material 1 is at \(0.2, 0\) m, off the outline, expected it on the cloth",
         ),
         ({"thickness": -1.0}, "attribute 'thickness': found -1.0"),
-        ({"thickness": 0.5}, "attribute 'thickness': found 0.5 m, expected 0.02 m at most of a cloth 0.2 m wide"),
+        ({"thickness": 0.5}, "attribute 'thickness': found 0.5 m, expected 0.02 m at most of a cloth 0.2 m across"),
         (
             {"confidence": np.full((11, 25), -3.0)},
             "variable 'confidence': found -3 at frame 0, node 0, expected 0 to 1",
@@ -393,6 +394,11 @@ def test_cloth_that_only_an_obstacle_holds_needs_no_grips(tmp_path):
 def test_wrong_supports_are_refused(change, says):
     with pytest.raises(ClothbenchError, match=says):
         dataclasses.replace(swinging_recording(), **change)
+
+
+def test_a_strip_may_be_as_thick_as_a_sheet():
+    """One of 25 mm by 300 mm had to be thinner than 2.5 mm."""
+    check_supports(None, 2.6e-3, np.zeros((0, 2)), np.array([0.025, 0.3]), "strip.nc")
 
 
 @pytest.mark.parametrize(

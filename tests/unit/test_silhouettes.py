@@ -355,7 +355,7 @@ def test_a_recording_is_read_as_it_was_written(tmp_path):
             "'disc_radius': found 150 m, expected 2 m at m",
         ),
         ({"pixel_size": 0.14, "disc_radius": 15.0, "plate_radius": 9.0}, "found 15 m, expected 2 m .* centimetres"),
-        ({"thickness": 0.5}, "'thickness': found 0.5 m, expected 0.03 m at most of a cloth 0.3 m wide"),
+        ({"thickness": 0.5}, "'thickness': found 0.5 m, expected 0.03 m at most of a cloth 0.3 m across"),
         ({"pixel_size": "x"}, "attribute 'pixel_size': found 'x', expected a number"),
         ({"sample": np.array([0.5, 1.0])}, "variable 'sample': found other values than whole numbers"),
         ({"split": "test"}, "attribute 'split'"),
