@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from clothbench_trackers.depth_mesh import at_times, trembling
+from clothbench_trackers.depth_mesh import at_times, check_extent, trembling
 
 from clothbench import Camera, ClothbenchError, DepthImages, write_depth
 from clothbench.core.observation import GripPath
@@ -107,6 +107,15 @@ def test_without_grips_a_sheet_that_is_too_large_is_refused(harm):
     images, far = dataclasses.replace(filmed(grips=False, blue=False), **harm), 1400 * harm.get("depth_step", 1e-3)
     with pytest.raises(ClothbenchError, match=r"^swing: found a sheet of 0.\d+ × 0.\d+ m in 8 of 8 .*; is depth_step"):
         tracker(far=far).track(images)
+
+
+def test_a_frame_that_shows_too_much_refuses_no_recording_with_grips():
+    """Of the frames the grips are known in all but one, which alone had been judged."""
+    images, extent = filmed(), np.full((len(TIME), 2), np.nan)
+    extent[-1] = 2 * SIZE
+    check_extent(images, extent)
+    with pytest.raises(ClothbenchError, match="found a sheet of"):
+        check_extent(dataclasses.replace(images, grips=None), extent)
 
 
 def test_what_is_hidden_stays_unseen_and_the_rest_keeps_its_labels():

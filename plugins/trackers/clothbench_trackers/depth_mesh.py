@@ -340,12 +340,13 @@ def boxed(uv: np.ndarray, size: np.ndarray) -> np.ndarray:
 
 def check_extent(images: DepthImages, extent: np.ndarray) -> None:
     """What nobody holds is about as large as the cloth in most frames, of extents (T, 2) m, NaN where grips say where
-    it is: else some of what was found is not the cloth, or metres are none.
+    it is: else some of what was found is not the cloth, or metres are none. A few frames before or after the grips are
+    known refuse no recording that has them in the others.
     """
     size = np.array([images.cloth_width, images.cloth_height])
     found = extent[np.isfinite(extent).all(axis=1)]
     large = (np.sort(found, axis=1) >= LARGER * np.sort(size)).any(axis=1)  # on its side it is as large
-    if 2 * large.sum() > len(found):
+    if 2 * large.sum() > len(found if images.grips is None else extent):
         wide, tall = np.median(found[large], axis=0)
         raise ClothbenchError(
             f"{images.path or images.name}: found a sheet of {wide:.3g} × {tall:.3g} m in {large.sum()} of "
