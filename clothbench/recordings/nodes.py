@@ -161,7 +161,7 @@ class Recording:
         """Which nodes in which frames may count, (T, N) bool: those that were seen while it is known where the grips
         were, if there are grips. A simulation holds them still before and after, as nobody did.
         """
-        return self.visible & frames_held(self.time, self.grip_time, self.grip_material)[:, None]
+        return self.visible & frames_held(self.time, self.grip_time, self.grip_position)[:, None]
 
     @property
     def eye(self) -> np.ndarray | None:
@@ -238,7 +238,7 @@ def _check(r: Recording, where: str) -> None:
     check_noise(r.noise_sigma, size, where)
     if r.sight is None:  # else along the line of sight nothing is known
         check_scale(arrays, size, where, read=bool(r.path))
-    check_overlap(r.time, r.grip_time, where)
+    check_overlap(r.time, r.grip_time, r.grip_position, where)
     carry = any(o.carried for o in r.obstacles or ())  # then grips need not hold any cloth
     check_supports(r.outline, r.thickness, r.grip_material[:0] if carry else r.grip_material, size, where)
 

@@ -23,6 +23,7 @@ SLOWEST, STAMPS = 2.0, 5  # s between frames, of so many and more: what moves so
 STRONGEST = 50.0  # m/s², of gravity: five times the earth's
 UPWARDS = 0.9  # of gravity, as which its part along z is no lean
 APART, SHRUNK = 50.0, 0.01  # of its own size, as which a cloth may at most and must at least be seen in space
+STILL = 1e-3  # m, as which a grip may be away from where it was and have been held still: what its place is known to
 STRAYED = 10.0  # of its size, as which a node may be from the middle of the others; in recordings it is up to 0.5
 TREMBLING = 0.25  # of the cloth's longer side, up to which positions may be wrong
 FARTHEST = 1e6  # m from the origin that cloth and grips may be; sums and squares of what is farther may overflow
@@ -300,28 +301,31 @@ def stamp_rounding(time: np.ndarray) -> float:
     return max(1e-9, 4 * float(np.spacing(np.abs(time).max(initial=0.0))))
 
 
-def while_held(time: np.ndarray, grip_time: np.ndarray) -> np.ndarray:
-    """Which frames (T,) s lie within the grips' stamps (K,) s, and in no hole of theirs, (T,) bool."""
-    rounding, holes = stamp_rounding(grip_time), holes_in(grip_time)
+def while_held(time: np.ndarray, grip_time: np.ndarray, grip_position: np.ndarray) -> np.ndarray:
+    """Which frames (T,) s lie within the grips' stamps (K,) s, and in no hole of theirs, (T,) bool. grip_position:
+    (K, G, 3) m.
+    """
+    rounding, holes = stamp_rounding(grip_time), holes_in(grip_time, grip_position)
     after = np.minimum(np.searchsorted(grip_time, time - rounding), len(grip_time) - 1)
     lost = holes[np.maximum(after - 1, 0)] & (time < grip_time[after] - rounding)
     return (time >= grip_time[0] - rounding) & (time <= grip_time[-1] + rounding) & ~lost
 
 
-def holes_in(grip_time: np.ndarray) -> np.ndarray:
+def holes_in(grip_time: np.ndarray, grip_position: np.ndarray) -> np.ndarray:
     """After which of the grips' stamps (K,) s nobody knows where they were until the next, (K-1,) bool: for far longer
-    than usual, and than they may be taken to go straight on. A few stamps are no log but a path that somebody states.
+    than usual, and than they may be taken to go straight on. A few stamps are no log but a path that somebody states;
+    grips (K, G, 3) m that are where they had been were held still, as a log says that has stamps while they move.
     """
-    steps = np.diff(grip_time)
-    return (steps > max(JUMP * float(np.median(steps)), LONGEST)) & (len(grip_time) > FEW)
+    steps, moved = np.diff(grip_time), np.linalg.norm(np.diff(grip_position, axis=0), axis=-1).max(axis=1, initial=0.0)
+    return (steps > max(JUMP * float(np.median(steps)), LONGEST)) & (len(grip_time) > FEW) & (moved > STILL)
 
 
-def frames_held(time: np.ndarray, grip_time: np.ndarray, grip_material: np.ndarray) -> np.ndarray:
+def frames_held(time: np.ndarray, grip_time: np.ndarray, grip_position: np.ndarray) -> np.ndarray:
     """Which frames (T,) s may count, (T,) bool: those in which it is known where the grips were, if there are grips."""
-    return while_held(time, grip_time) if grip_material.size else np.ones(len(time), bool)
+    return while_held(time, grip_time, grip_position) if grip_position.size else np.ones(len(time), bool)
 
 
-def check_overlap(time: np.ndarray, grip_time: np.ndarray, where: str) -> None:
+def check_overlap(time: np.ndarray, grip_time: np.ndarray, grip_position: np.ndarray, where: str) -> None:
     """The grips were tracked while nine tenths of the frames were taken, and by the same clock."""
     frames, grips = (float(np.median(np.diff(stamps))) if len(stamps) > FEW else 0.0 for stamps in (time, grip_time))
     if frames > 0 and grips > MILLI * frames and np.ptp(grip_time) > MILLI * np.ptp(time):
@@ -329,13 +333,13 @@ def check_overlap(time: np.ndarray, grip_time: np.ndarray, where: str) -> None:
             f"{where}: variable 'grip_time': found {grip_time[0]:.10g}..{grip_time[-1]:.10g} s beside frames from "
             f"{time[0]:.10g} to {time[-1]:.10g} s, expected both in seconds; are the grips' milliseconds?"
         )
-    covered = np.mean(while_held(time, grip_time))
-    if covered < COVERED and (holes := np.flatnonzero(holes_in(grip_time))).size:
+    covered = np.mean(while_held(time, grip_time, grip_position))
+    if covered < COVERED and (holes := np.flatnonzero(holes_in(grip_time, grip_position))).size:
         first = holes[0]
         raise ClothbenchError(
             f"{where}: variable 'grip_time': found none from {grip_time[first]:.10g} to {grip_time[first + 1]:.10g} s, "
             f"where {np.median(np.diff(grip_time)):.3g} s between stamps are usual, and {covered:.0%} of the frames "
-            f"covered, expected {COVERED:.0%}; cut the recording there"
+            f"covered, expected {COVERED:.0%}; cut the recording there, or write stamps also while it is held still"
         )
     if covered < COVERED:
         raise ClothbenchError(

@@ -116,7 +116,7 @@ class PointCloud:
     @property
     def counts(self) -> np.ndarray:
         """Which of them may count, (T, P) bool: those of frames in which it is known where the grips were."""
-        return self.visible & frames_held(self.time, self.grip_time, self.grip_material)[:, None]
+        return self.visible & frames_held(self.time, self.grip_time, self.grip_position)[:, None]
 
     @cached_property
     def lattice(self) -> np.ndarray:
@@ -165,7 +165,7 @@ def _check(r: PointCloud, where: str) -> None:
     check_points(r.grip_material, "grip_material", size, where)
     check_noise(r.noise_sigma, size, where)
     _check_scale(r, float(np.hypot(*size)), where)
-    check_overlap(r.time, r.grip_time, where)
+    check_overlap(r.time, r.grip_time, r.grip_position, where)
     if not carry:
         _check_reach(r, float(np.hypot(*size)), where)
     check_supports(r.outline, r.thickness, r.grip_material[:0] if carry else r.grip_material, size, where)

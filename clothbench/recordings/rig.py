@@ -180,7 +180,7 @@ def check_grips(r: RawRecording, where: str) -> None:
     spread = np.linalg.norm(np.ptp(grips.position, axis=1), axis=-1)
     check_spread(spread, math.hypot(r.cloth_width, r.cloth_height), where, "grips", "grip_position")
     check_points(grips.material, "grip_material", np.array([r.cloth_width, r.cloth_height]), where)
-    check_overlap(r.time, grips.time, where)
+    check_overlap(r.time, grips.time, grips.position, where)
 
 
 def check_numbers(r: object, names: Iterable[str], where: str) -> None:

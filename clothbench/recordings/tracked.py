@@ -25,7 +25,7 @@ def nodes_of(images: Images, seen: Observation) -> Recording:
     sigma = images.noise_sigma if np.isnan(seen.sigma) else seen.sigma
     grips = images.grips or seen.grips or corners_of(images, seen)
     camera = seen.sight or images.camera
-    counts = seen.visible & while_held(seen.time, grips.time)[:, None]
+    counts = seen.visible & while_held(seen.time, grips.time, grips.position)[:, None]
     return Recording(
         time=seen.time, material=seen.material, position=np.where(counts[..., None], seen.position, np.nan),
         grip_time=grips.time, grip_material=grips.material, grip_position=grips.position, noise_sigma=sigma,

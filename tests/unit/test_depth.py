@@ -96,7 +96,7 @@ def frames(**changes):
         ({"grips": grips_at(1e3 * HELD[:1])}, "'grip_position': found grips 999.2"),
         ({"camera": dataclasses.replace(CAMERA, translation=1e3 * CAMERA.translation)}, "of that; are these, or the"),
         (
-            {"grips": GripPath(np.r_[np.arange(9), 500.0, 501] / 100, HELD_AT, np.tile(HELD, (11, 1, 1)))},
+            {"grips": GripPath(np.r_[np.arange(9), 500.0, 501] / 100, HELD_AT, HELD + np.linspace(0, 0.1, 11)[:, None, None])},
             "'grip_time': found none from 0.08 to 5 s, where 0.01 s between stamps are usual, and 33% of the frames",
         ),
         ({"grips": GripPath(TIME + 7, np.array([[0.0, 0.0]]), np.zeros((6, 1, 3)))}, "covers 0% of the frames"),

@@ -85,7 +85,7 @@ def moved(frame: int, point: int, *place: float) -> np.ndarray:
         (
             {
                 "grip_time": np.r_[np.arange(9), 500, 501] / 100,
-                "grip_position": np.tile(hung().grip_position[:1], (11, 1, 1)),
+                "grip_position": hung().grip_position[:1] + np.linspace(0, 0.1, 11)[:, None, None],
             },
             "variable 'grip_time': found none from 0.08 to 5 s, where 0.01 s",
         ),

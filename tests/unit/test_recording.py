@@ -105,18 +105,20 @@ def test_grips_in_milliseconds_beside_frames_in_seconds_are_refused(recording, t
 
 def test_equal_stamps_since_1970_are_equal():
     time = 1.7e9 + np.arange(60) / 30
-    assert while_held(time, time + 2e-7).all()
-    assert not while_held(time, time + 1e-3).all()
+    nowhere = np.zeros((60, 1, 3))
+    assert while_held(time, time + 2e-7, nowhere).all()
+    assert not while_held(time, time + 1e-3, nowhere).all()
     assert stamp_rounding(time - time[0]) == 1e-9
 
 
-def held_at(stamps: np.ndarray):
-    """A recording of 101 frames in ten seconds, of which the grips were told at `stamps` (K,) s."""
+def held_at(stamps: np.ndarray, speed: float = 0.01):
+    """A recording of 101 frames in ten seconds, of which the grips, at that speed [m/s], were told at `stamps` (K,) s.
+    """
     plain = swinging_recording()
     time, shape = np.linspace(0.0, 10.0, 101), plain.position[:1]
     return swinging_recording(
         time=time, position=np.repeat(shape, len(time), axis=0), grip_time=stamps,
-        grip_position=np.repeat(plain.grip_position[:1], len(stamps), axis=0),
+        grip_position=plain.grip_position[:1] + speed * stamps[:, None, None],
     )  # fmt: skip
 
 
@@ -133,6 +135,11 @@ def test_a_hole_in_the_grips_log_is_not_taken_for_grips():
         ClothbenchError, match=r"'grip_time': found none from 5 to 7 s, where 0.01 s .* 81% of the frames .* cut the"
     ):
         held_at(whole[(whole <= 5.0) | (whole >= 7.0)])
+
+
+def test_grips_that_are_logged_only_while_they_move_are_known_in_between():
+    whole = np.arange(1001) / 100
+    assert held_at(whole[(whole <= 5.0) | (whole >= 8.0)], speed=1e-4).counts.any(axis=1).all()
 
 
 def test_a_recording_is_written_through_a_link(recording, tmp_path):
