@@ -14,7 +14,8 @@ from clothbench.recordings.layout import Arrays, Layout, Part
 
 FEW, MILLI = 9, 100  # stamps, and times the frames' step and span, from which on grips are stamped in milliseconds
 JUMP = 8.0  # times the usual time between stamps beyond which they have jumped
-DROPPED = 1.75  # times the usual time between frames beyond which some in between are missing: one alone makes it 2
+DROPPED = 1.9  # times the usual time between frames beyond which some in between are missing: one alone makes it 2
+NEIGHBOURS, LEAST = 6, 1  # steps before and after one, of which the next after the least is what is usual there
 COVERED = 0.9  # of the frames, while which somebody has to know where the grips are
 SIZES = {"uv": 2, "space": 3}
 LONGEST = 0.5  # s, for which a grip that a camera lost may be taken to go straight on: a hand swings at 1 Hz
@@ -279,9 +280,19 @@ def longest_gap(time: np.ndarray, seen: np.ndarray) -> tuple[float, float]:
     0 where no sample is missing between the first and the last, nor a frame that was dropped before it got a number.
     """
     apart = np.diff(time[seen])
-    gaps = np.where((np.diff(seen) > 1) | (apart > DROPPED * np.median(np.diff(time))), apart, 0.0)
+    gaps = np.where((np.diff(seen) > 1) | (apart > DROPPED * usual_steps(time)[seen[:-1]]), apart, 0.0)
     worst = int(np.argmax(gaps)) if gaps.size else 0
     return (float(gaps[worst]), float(time[seen[worst]])) if gaps.size else (0.0, float("nan"))
+
+
+def usual_steps(time: np.ndarray) -> np.ndarray:
+    """How far apart frames at stamps (T,) s usually are where each of them is followed by the next, (T-1,) s: before or
+    after it, whichever is longer, as a clock may change its pace. Up to two of three steps there may lack a frame.
+    """
+    steps = np.diff(time)
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(steps, NEIGHBOURS, mode="symmetric"), NEIGHBOURS)
+    low = np.partition(windows, LEAST, axis=1)[:, LEAST]
+    return np.maximum(low[: len(steps)], low[-len(steps) :])
 
 
 def check_grip_gap(time: np.ndarray, seen: np.ndarray, what: str, where: str) -> None:

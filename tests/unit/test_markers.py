@@ -547,6 +547,22 @@ def test_frames_that_are_missing_from_the_file_are_gaps_of_the_grips_too(tmp_pat
     record(write(tmp_path / "shaken.csv", csv_lines(shaken, run()[1])))
 
 
+@pytest.mark.parametrize("steps", [(2, 2, 2, 2, 2, 1, 1, 1, 1, 1, 1), (1, 1, 1, 1, 1, 1, 2, 2, 2, 2, 2)])
+def test_a_clock_that_changes_its_pace_drops_nothing(tmp_path, steps):
+    """100 Hz and 50 Hz in one file: whichever had fewer frames was told to be a gap."""
+    time = np.cumsum([0, *steps]) / 100
+    np.testing.assert_allclose(record(write(tmp_path / "run.csv", csv_lines(time, run()[1]))).grip_time, time)
+
+
+@pytest.mark.parametrize("kept", [(0, 1), (0, 1, 3)])
+def test_frames_that_are_dropped_over_and_over_are_gaps(tmp_path, kept):
+    """One in three had passed: half of the steps were twice as long as the others, so that none of them stood out."""
+    period = kept[-1] + 2
+    time = np.array([number for number in range(40) if number % period in kept][:12]) / 100
+    with pytest.raises(ClothbenchError, match=r"none for 0.02 s after .*'fill_gaps_up_to'"):
+        record(write(tmp_path / "run.csv", csv_lines(time, run()[1])))
+
+
 @pytest.mark.parametrize(
     ("changes", "match"),
     [
