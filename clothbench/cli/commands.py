@@ -92,7 +92,7 @@ def key_values(settings: Sequence[str], allowed: Sequence[str]) -> dict[str, str
     for word in settings:
         key, sign, value = word.partition("=")
         if not sign or key not in allowed:
-            near = nearest(key, allowed)
+            near = nearest(key, allowed) if sign else ""
             raise ClothbenchError(f"found {word!r}, {near}expected {' or '.join(f'{a}=VALUE' for a in allowed)}")
         out[key] = value
     require_once(settings)

@@ -126,7 +126,7 @@ def settings_of(words: Sequence[str]) -> dict[str, Any]:
         key, sign, value = word.partition("=")
         first = key.partition(".")[0]
         if not sign or first not in WORDS:
-            near = nearest(first, SHOWN)
+            near = nearest(first, SHOWN) if sign else ""
             raise ClothbenchError(f"found {word!r}, {near}expected {' or '.join(f'{a}=VALUE' for a in SHOWN)}")
         if key in PLAIN:
             plain[key] = value

@@ -46,9 +46,34 @@ def known_names(name: str, known: Iterable[str]) -> str:
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """ "did you mean 'budget'? " of "budgett", for before what else is said; "" where no name is near."""
-    close = difflib.get_close_matches(name, list(known), n=1)
+    """ "did you mean 'budget'? " of "budgett", for before what else is said; "" where no name is near: of four letters
+    one may be a slip, and names that differ in digits alone are all meant.
+    """
+    there = list(known)
+    close = [
+        one for one in difflib.get_close_matches(name, there, n=max(len(there), 1))
+        if slips(name, one) <= max(len(name) // 4, 1) and _NUMBER.sub("0", name) != _NUMBER.sub("0", one)
+    ]  # fmt: skip
     return f"did you mean {close[0]!r}? " if close else ""
+
+
+_NUMBER = re.compile(r"\d+")
+
+
+def slips(word: str, meant: str) -> int:
+    """How many slips make a word of the one that was meant: a letter that is wrong, too many, missing, or after the next
+    (the restricted distance of Damerau, Communications of the ACM 7 (1964) 171).
+    """
+    rows = [list(range(len(meant) + 1))]
+    for i, a in enumerate(word, 1):
+        row = [i]
+        for j, b in enumerate(meant, 1):
+            least = min(rows[-1][j] + 1, row[-1] + 1, rows[-1][j - 1] + (a != b))
+            if min(i, j) > 1 and (a, word[i - 2]) == (meant[j - 2], b):
+                least = min(least, rows[-2][j - 2] + 1)
+            row.append(least)
+        rows.append(row)
+    return rows[-1][-1]
 
 
 NEAR = 0.85  # alikeness of two words from which on one is the other misspelled

@@ -34,6 +34,7 @@ from clothbench.cli.run import (
     swept,
 )
 from clothbench.cli.settings_help import settings_help, settings_meanings
+from clothbench.core.errors import nearest, slips
 from clothbench.core.files import whole_folder
 from clothbench.display.film import read_film
 from clothbench.display.terminal import console
@@ -113,6 +114,7 @@ def test_help_answers_at_once_and_names_every_command(clothbench):
         (("run", "--config-dir", "none", "+suite=mine"), "none: no such folder; --config-dir names one"),
         (("import", "iri_wam_cloth_swin"), "'iri_wam_cloth_swin'; did you mean 'iri_wam_cloth_swing'? known: cusick"),
         (("report", "uot=x"), "found 'uot=x', did you mean 'out'? expected out=VALUE"),
+        (("report", "out"), "found 'out', expected out=VALUE"),
         (("presets", "denimm"), "did you mean 'denim'? there are: any, cotton"),
         (("import", "iri_wam_cloth_swing", "data_dir=/nowhere"), "/nowhere is not a folder"),
         (("import", "good.nc"), "good.nc: found a recording, expected a video; see it with clothbench validate good"),
@@ -217,6 +219,24 @@ def test_a_word_in_the_spelling_of_another_command_is_told_as_it_is_written_here
     with pytest.raises(ClothbenchError) as fault:
         parsed(words.split())
     assert str(fault.value).endswith(said)
+
+@pytest.mark.parametrize(
+    ("word", "meant"),
+    [
+        ("rnu", "run"), ("improv", "improve"), ("lederboard", "leaderboard"), ("exprot", "export"),
+        *((other, "") for other in ("fetch", "remove", "plot", "prune", "simulate", "results", "init", "version")),
+        ("calibrate", ""), ("run", ""),
+    ],
+)  # fmt: skip
+def test_a_command_is_suggested_for_a_slip_and_not_for_another_word(word, meant):
+    assert nearest(word, [*COMMANDS, "run"]) == (f"did you mean {meant!r}? " if meant else "")
+
+
+def test_the_nearest_name_is_one_that_was_misspelled():
+    for word, meant in (("modle", "model"), ("bugdet", "budget"), ("optimiser", "optimizer"), ("swimg-7", "swing-7")):
+        assert nearest(word, ("model", "metric", "budget", "optimizer", "swing-7")) == f"did you mean {meant!r}? "
+    assert nearest("swing-7", [f"swing-{number}" for number in (1, 6, 17)]) == ""  # each of them is meant by somebody
+    assert [slips(word, "budget") for word in ("budget", "bugdet", "budgt", "budgett", "badget")] == [0, 1, 1, 1, 1]
 
 
 @pytest.mark.parametrize(

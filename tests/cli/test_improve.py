@@ -348,6 +348,7 @@ def test_a_fault_of_the_model_is_one_line_and_exit_1(place, tmp_path):
     [
         (("model=mass_spring",), "found no recordings=…"),
         (("recordings=rec", "modle=mass_spring"), "'modle=mass_spring', did you mean 'model'? expected recordings="),
+        (("recordings", "model=mass_spring"), "'recordings', expected recordings="),
         (("recordings=nowhere", *SMALL), "nowhere: no such file or folder"),
         (("recordings=.", *SMALL), "found no recordings, expected files ending in .nc"),
         (("recordings=rec", "model=mass_sping"), "did you mean 'mass_spring'"),
