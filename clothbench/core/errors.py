@@ -61,8 +61,8 @@ _NUMBER = re.compile(r"\d+")
 
 
 def slips(word: str, meant: str) -> int:
-    """How many slips make a word of the one that was meant: a letter that is wrong, too many, missing, or after the next
-    (the restricted distance of Damerau, Communications of the ACM 7 (1964) 171).
+    """How many slips make a word of the one that was meant: a letter that is wrong, too many, missing, or after the
+    next (the restricted distance of Damerau, Communications of the ACM 7 (1964) 171).
     """
     rows = [list(range(len(meant) + 1))]
     for i, a in enumerate(word, 1):

@@ -113,7 +113,7 @@ def recording_from_markers(
     fill_gaps_up_to [s] apart beyond one frame, whether frames in between show nothing of it or are missing
     from the file. Frames before its first and after its last stamp are dropped: what drove the cloth then is
     not known. Without a `frame`, cloth that is beside its grips all the time, along one of the file's axes, is
-    refused: it hangs, and another axis is up.
+    refused: it hangs, and another axis is up. Of cloth that is held level, blown or dragged, state one (np.eye(4)).
     """
     path = Path(path)
     told = _told({**settings, "material": material}, path)
@@ -165,8 +165,8 @@ def _check_up(made: Recording, known: np.ndarray, held: np.ndarray, up: str, pat
         for sign, remedy in ((-1, f"set up={axis!r}"), (1, "turn it by 'frame'")):
             if (aside & (sign * along > ALONG * far)).mean() >= MOSTLY:
                 found = f"{up!r}, and the cloth beside its grips, along {axis}"
-                level = "where it is held level, say so by frame=np.eye(4)"
-                raise refusal(path, "setting 'up'", found, "cloth below its grips", f"{remedy}; {level}")
+                level = "where it is held level, blown or dragged, say so by frame=np.eye(4)"
+                raise refusal(path, "setting 'up'", found, "cloth below its grips", f"{level}; else {remedy}")
 
 
 def fill_gaps(time: np.ndarray, position: np.ndarray, up_to: float) -> np.ndarray:
