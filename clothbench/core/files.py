@@ -10,6 +10,7 @@ import math
 import os
 import re
 import shutil
+import stat
 import tempfile
 import warnings
 import zipfile
@@ -230,15 +231,13 @@ def whole_file(path: str | os.PathLike[str], asked: bool = False) -> Iterator[Pa
 
     asked: whether somebody asked for this very name. Where it is a link, what that leads to is written; any other link,
     which may lie in a folder that a stranger has packed, makes way. What is there and is no file, such as a device or a
-    pipe, is a ClothbenchError.
+    pipe, and a link that leads nowhere but to itself are a ClothbenchError.
     """
-    link = os.path.islink(path)
-    path = Path(os.path.realpath(path) if asked and link else path)
-    if os.path.exists(path) and not (os.path.isfile(path) or os.path.isdir(path)) and (asked or not link):
-        raise ClothbenchError(
-            f"{path}: found a device, pipe or socket, expected a file, or none yet; give another name"
-        )
-    with placing(path):
+    named, link = Path(path), os.path.islink(path)
+    if asked or not link:
+        _require_file(named)
+    path = Path(os.path.realpath(named)) if asked and link else named
+    with placing(named):
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
     os.close(handle)
@@ -246,12 +245,24 @@ def whole_file(path: str | os.PathLike[str], asked: bool = False) -> Iterator[Pa
     try:
         yield part
         os.chmod(part, 0o666 & ~_umask())  # mkstemp keeps files to their owner; results are no secret
-        with placing(path):
+        with placing(named):
             os.replace(part, path)
     except BaseException as fault:
         part.unlink(missing_ok=True)
-        _name(fault, path)
+        _name(fault, named)
         raise
+
+
+def _require_file(named: Path) -> None:
+    """Refuse a place where something is that is no file. What a name stands for may have no other: /dev/fd/1."""
+    try:
+        mode = os.stat(named).st_mode
+    except OSError as fault:  # whatever else is wrong there, writing says
+        found = "a link that leads back to itself" if fault.errno == errno.ELOOP else ""
+    else:
+        found = "" if stat.S_ISREG(mode) or stat.S_ISDIR(mode) else "a device, pipe or socket"
+    if found:
+        raise ClothbenchError(f"{named}: found {found}, expected a file, or none yet; give another name")
 
 
 @contextmanager

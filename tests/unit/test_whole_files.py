@@ -76,7 +76,7 @@ def test_a_pipe_is_not_replaced_and_a_link_only_where_nobody_asked_for_it(tmp_pa
         (tmp_path / name).symlink_to(goal)
     for place, asked in ((pipe, False), (pipe, True), (tmp_path / "to-pipe", True)):
         with (
-            pytest.raises(ClothbenchError, match=r"pipe: found a device, pipe or socket, expected a file, or none yet"),
+            pytest.raises(ClothbenchError, match=f"^{place}: found a device, pipe or socket, expected a file, or none"),
             whole_file(place, asked=asked),
         ):
             pass
@@ -94,6 +94,28 @@ def test_a_pipe_is_not_replaced_and_a_link_only_where_nobody_asked_for_it(tmp_pa
         assert not (tmp_path / name).is_symlink()
     assert target.read_text() == "new"
     assert sorted(p.name for p in target.parent.iterdir()) == ["cloth.xml", "none_yet"]
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/fd"), reason="open files of this system have no names")
+def test_a_pipe_without_a_name_and_a_link_to_itself_are_refused(tmp_path):
+    """What this process may write to can be a pipe, as /dev/fd/1 often is; a link to itself had been replaced."""
+    ours, theirs = os.pipe()
+    (loop := tmp_path / "loop").symlink_to(loop)
+    (beside := tmp_path / "beside").symlink_to(tmp_path / "file" / "none")
+    (tmp_path / "file").touch()
+    try:
+        for place, found in ((f"/dev/fd/{theirs}", "a device, pipe or socket"), (loop, "a link that leads back to it")):
+            with pytest.raises(ClothbenchError, match=f"^{place}: found {found}"), whole_file(place, asked=True):
+                pass
+    finally:
+        os.close(ours)
+        os.close(theirs)
+    with pytest.raises(OSError, match="cannot be written to") as fault, whole_file(beside, asked=True):
+        pass
+    assert fault.value.filename == str(beside)
+    with whole_file(loop) as part:  # of which nobody has asked
+        part.write_text("new")
+    assert loop.read_text() == "new"
 
 
 def test_a_folder_that_may_not_be_changed_is_named_when_something_is_to_be_removed_from_it(tmp_path, monkeypatch):
