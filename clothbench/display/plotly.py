@@ -12,6 +12,7 @@ import numpy as np
 COLOURS = ("#0077bb", "#d55e00", "#009e73", "#b8559a", "#a67c00", "#6a6fd0", "#3a93a5", "#b5523b")
 GREY = "#8a8f98"
 CLOSE = 5.0  # times the least of an axis's values, from which on the greatest leaves room for 1, 2 and 5
+ALIKE = 1.001  # times it, up to which all may be drawn as one value, of so many digits
 LEGEND = {"showlegend": True, "legend": {"orientation": "h", "yanchor": "bottom", "y": 1}}  # above a figure
 VIRIDIS = ("#440154", "#3b528b", "#21918c", "#5ec962", "#fde725")  # five points of the scale, from low to high
 
@@ -29,11 +30,12 @@ def thinned(time: np.ndarray, value: np.ndarray, points: int) -> tuple[list[floa
 
 def log_axis(values: Iterable[float]) -> dict[str, Any]:
     """A logarithmic axis with ticks at 1, 2 and 5 of each decade around some values above 0: plotly's own say of ticks
-    within a decade only their first digit. Where values lie close plotly has ticks as on a linear axis, in full.
+    within a decade only their first digit. Where values lie close plotly has ticks as on a linear axis, in full; around
+    a single one its axis is two decades long.
     """
     known = [v for v in values if np.isfinite(v) and v > 0] or [1.0]
     axis: dict[str, Any] = {"type": "log", "zeroline": False}
-    if max(known) < CLOSE * min(known):
+    if ALIKE * min(known) < max(known) < CLOSE * min(known):
         return axis
     decades = range(math.floor(math.log10(min(known))), math.ceil(math.log10(max(known))) + 1)
     ticks = [digit * 10.0**decade for decade in decades for digit in (1, 2, 5)]
