@@ -315,6 +315,8 @@ def test_a_way_that_was_not_judged_by_a_metric_is_not_said_to_have_failed():
     assert said.startswith("Only a · by fold is ranked. ")
     assert "not judged by fold in every case: a · by mm. With it in report they would be" in said
     assert "came to" not in said
+    said = told([*some, *rows_of({"a": [1.0, 2.0, 3.0]}, "satin")], "fold")  # where the other was not even run
+    assert said.endswith("Not ranked, since they have not been run in every case yet: a · by mm.")
 
 
 def test_a_case_with_nothing_held_out_is_named_and_the_others_are_ranked():

@@ -79,12 +79,13 @@ def lead(
     lacks = {way: [case[way] for case in cases.values() if way in case and case[way].value is None] for way in out}
     unjudged = {way for way, some in lacks.items() if some and all(s.unjudged for s in some)}
     unseen = {way for way in unjudged if any(s.unjudged == NOTHING_HELD_OUT for s in lacks[way])}
-    unrun = {way for way, some in lacks.items() if not some}  # it lacks a number only where it has no fit
+    missing = {way for way in out if any(way not in case for case in cases.values())}
+    unrun = {way for way in missing - unseen if not lacks[way] or way in unjudged}  # nothing failed where it has fits
     return {
         "ways": [one.way for one in ranked], "ties": ties, "cases": len(cases), "wins": wins, "metric": metric,
         "behind": [(one.way, times(one)) for one in ranked[1:] if not one.tied],
         "left": sorted(out - unjudged - unrun), "unrun": sorted(unrun),
-        "unjudged": sorted(unjudged - unseen), "unseen": sorted(unseen),
+        "unjudged": sorted(unjudged - unseen - unrun), "unseen": sorted(unseen),
         "alone": listed(sorted({name for case in compared for name in left_out(case)})),
         "unheld": sorted(found.keys() - cases.keys()),
         "reasons": any(s.status != "ok" for case in found.values() for s in case.values()),
