@@ -8,7 +8,7 @@ from html import escape
 from typing import Any
 
 Rows = Sequence[dict[str, Any]]
-POWER = re.compile(r"\^(-?[0-9]+)")  # in a unit as plugins state it
+POWER = re.compile(r"\^(-?[0-9]+)(?![0-9]|[./][0-9])")  # a whole one, in a unit as plugins state it
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 

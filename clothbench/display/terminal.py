@@ -8,8 +8,9 @@ from rich.console import Console
 
 
 def console() -> Console:
-    """Standard output; where it is no terminal as wide as COLUMNS says, or else wide enough for a table."""
+    """Standard output; where it is no terminal as wide as COLUMNS says, which rich reads, or else wide enough for a
+    table.
+    """
     out = Console(highlight=False)
-    said = os.environ.get("COLUMNS", "")
-    width = int(said) if said.isdecimal() and int(said) > 0 else 120
+    width = None if os.environ.get("COLUMNS", "").isdecimal() else 120
     return out if out.is_terminal else Console(highlight=False, width=width, color_system=None)

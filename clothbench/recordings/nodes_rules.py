@@ -155,12 +155,17 @@ def check_grips_near(
         return
     centre = np.median([places.mean(axis=0) for places in seen], axis=0)
     away = float(np.linalg.norm(np.median(grips, axis=(0, 1)) - centre))
-    apart = float(np.median(np.linalg.norm(np.ptp(grips, axis=1), axis=-1)))
+    apart = float(np.median(spreads(grips)))
     if max(away, apart) > APART * across:
         raise ClothbenchError(
             f"{where}: variable 'grip_position': found grips {apart:g} m apart, and {away:g} m from the {what}, in the "
             f"middle of all frames, {at_most(across)}"
         )
+
+
+def spreads(places: np.ndarray) -> np.ndarray:
+    """How far places (T, N, 3) m go in each frame, from corner to corner of a box around them, (T,) m."""
+    return np.linalg.norm(np.ptp(places, axis=1), axis=-1)
 
 
 def at_most(across: float) -> str:

@@ -30,6 +30,7 @@ from clothbench.recordings.nodes_rules import (
     check_points,
     check_shapes,
     check_spread,
+    spreads,
 )
 from clothbench.recordings.supports import SUPPORTS, check_supports
 from clothbench.recordings.video import lens_of, size_of, text_of
@@ -177,8 +178,8 @@ def check_grips(r: RawRecording, where: str) -> None:
     check_finite(grips.position, "grip_position", where)
     check_finite(grips.material, "grip_material", where)
     check_near(grips.position, "grip_position", where)
-    spread = np.linalg.norm(np.ptp(grips.position, axis=1), axis=-1)
-    check_spread(spread, math.hypot(r.cloth_width, r.cloth_height), where, "grips", "grip_position")
+    across = math.hypot(r.cloth_width, r.cloth_height)
+    check_spread(spreads(grips.position), across, where, "grips", "grip_position")
     check_points(grips.material, "grip_material", np.array([r.cloth_width, r.cloth_height]), where)
     check_overlap(r.time, grips.time, grips.position, where)
 

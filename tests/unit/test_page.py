@@ -278,7 +278,8 @@ def test_ticks_of_a_logarithmic_axis_with_values_close_together_are_plotlys(valu
 
 
 def test_powers_in_units_are_raised_as_in_figures():
-    assert [unit({"unit": word}) for word in ("m^-4 s^2", "N/m", "1")] == ["m⁻⁴ s²", "N/m", "–"]
+    assert [unit({"unit": word}) for word in ("m^-4 s^2", "N/m", "1", "m^2/s")] == ["m⁻⁴ s²", "N/m", "–", "m²/s"]
+    assert [unit({"unit": word}) for word in ("N^0.5", "N^10.5", "N^1/2")] == ["N^0.5", "N^10.5", "N^1/2"]  # not N⁰.5
 
 
 def test_thinned_keeps_means_and_gaps():
