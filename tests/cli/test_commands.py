@@ -220,6 +220,7 @@ def test_a_word_in_the_spelling_of_another_command_is_told_as_it_is_written_here
         parsed(words.split())
     assert str(fault.value).endswith(said)
 
+
 @pytest.mark.parametrize(
     ("word", "meant"),
     [

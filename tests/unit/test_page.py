@@ -265,8 +265,10 @@ def test_ticks_of_a_logarithmic_axis_are_written_in_full():
     """plotly's own had been 0.1, 2, 3 … 9, 1."""
     wide = log_axis([0.1, 1.2])
     assert wide["ticktext"][:4] == ["0.1", "0.2", "0.5", "1"]
-    assert all(sum(least <= tick <= 5.01 * least for tick in log_axis([least, 5.01 * least])["tickvals"]) > 1
-               for least in (1.01, 2.01, 5.01))
+    assert all(
+        sum(least <= tick <= 5.01 * least for tick in log_axis([least, 5.01 * least])["tickvals"]) > 1
+        for least in (1.01, 2.01, 5.01)
+    )
     assert {"0.5", "1"} <= set(log_axis([0.9, 0.9])["ticktext"])
     assert log_axis([])["type"] == "log"
 
