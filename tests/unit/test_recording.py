@@ -112,7 +112,7 @@ def test_equal_stamps_since_1970_are_equal():
 
 
 def held_at(stamps: np.ndarray, speed: float = 0.01):
-    """A recording of 101 frames in ten seconds, of which the grips, at that speed [m/s], were told at `stamps` (K,) s."""
+    """A recording of 101 frames in ten seconds, of which grips at that speed [m/s] were told at `stamps` (K,) s."""
     plain = swinging_recording()
     time, shape = np.linspace(0.0, 10.0, 101), plain.position[:1]
     return swinging_recording(
