@@ -118,6 +118,36 @@ def test_what_is_said_to_be_loading_does_not_go_back_before_it_is_largest():
     assert last_rise(stray) == slice(0, 200)
 
 
+@pytest.mark.parametrize("noise", [0.0, 1e-5, 1e-3])
+def test_of_cycles_that_go_equally_far_the_last_counts(noise):
+    up = np.linspace(1.0, 1.2, 200)
+    cycles = np.tile(np.r_[up, up[::-1]], 3)
+    for seed in range(10):
+        rise = last_rise(cycles + np.random.default_rng(seed).normal(0, noise, len(cycles)))
+        assert rise.start == pytest.approx(800, abs=20)
+        assert rise.stop == pytest.approx(1000, abs=20)
+    farther = np.r_[up, up[::-1], 1 + 0.9 * (up - 1)]  # less far is no rise to the largest
+    assert last_rise(farther) == slice(0, 200)
+
+
+@pytest.mark.parametrize("ramp", [2, 3, 4, 5, 8])
+def test_cycles_of_few_samples_a_ramp_are_cycles(ramp):
+    """Tops of 1.200, 1.201 and 1.202; no sample of the way back is kept."""
+    turns = np.array([1.0, 1.2, 1.0, 1.201, 1.0, 1.202])
+    stretch = np.interp(np.arange(5 * ramp + 1) / ramp, np.arange(6), turns)
+    assert last_rise(stretch) == slice(4 * ramp, 5 * ramp + 1)
+    with pytest.raises(ClothbenchError, match=f"found 'loading' though .* to 1 at sample {4 * ramp}, before it is"):
+        pulled(stretch=stretch, force=np.arange(float(len(stretch))))
+
+
+@pytest.mark.parametrize("noise", [0.002, 0.01, 0.04])
+@pytest.mark.parametrize("samples", [200, 20000])
+def test_noise_is_no_way_back_however_many_samples_there_are(samples, noise):
+    up, random = np.linspace(1.0, 1.5, samples), np.random.default_rng(0)
+    for stretch in (up, np.r_[up, up[::-1]], np.r_[up, np.full(samples // 2, 1.5)]):
+        assert last_rise(stretch + random.normal(0, noise, len(stretch))).start == 0
+
+
 def film(distance: np.ndarray, force: np.ndarray) -> dict:
     """A video of a swatch whose lower clamp is so many pixels (M,) below the upper one."""
     track = np.zeros((7, 2, len(force)))
