@@ -56,9 +56,7 @@ def intervals(trials: Sequence[Trial], space: ParameterSpace, best: np.ndarray) 
     return space.from_unit(unit - half), space.from_unit(unit + half), condition**0.5
 
 
-def held_by_bounds(
-    space: ParameterSpace, best: np.ndarray, jacobian: np.ndarray, residual: np.ndarray
-) -> np.ndarray:
+def held_by_bounds(space: ParameterSpace, best: np.ndarray, jacobian: np.ndarray, residual: np.ndarray) -> np.ndarray:
     """Which parameters (P,) of a fit (P,) are marked as on a bound and would leave the range: that is where Σ r² falls,
     from the sensitivities J (R, P) in the unit cube of its residual r (R,).
     """

@@ -202,8 +202,8 @@ def last_rise(stretch: np.ndarray) -> slice:
     """The samples of the last rise to the largest of stretches (M,): of several cycles the one that goes farthest, and
     of those that go equally far, but for noise or a hundredth of the range, the last.
 
-    It begins where the last fall ends that is no noise: a twentieth of the range, and twelve standard deviations of what
-    scatters from sample to sample, as third differences show it. Of few samples a ramp these show the turns, hence
+    It begins where the last fall ends that is no noise: a twentieth of the range, and twelve standard deviations of
+    what scatters from sample to sample, as third differences show it. Of few samples a ramp these show the turns, hence
     three quarters of the range are always a fall. Single samples that stand out are none.
     """
     whole, way = float(np.ptp(stretch)), _without_strays(stretch)
