@@ -41,7 +41,7 @@ def triangle_slots(
     ∂²/∂u∂v as `curvature_weights` sees them of differences of first derivatives, 1/m, 0 where nothing holds the slope;
     else 1. clamped: (F,), see `clamped_triangles`.
     """
-    columns = grid_columns(uv, triangles) if whole else 0
+    columns = _grid_columns(uv, triangles) if whole else 0
     if columns == 0:
         return 0, np.zeros((2, 0)), np.vstack([face_area[None], np.ones((3, len(face_area)))])
     u, v = uv[:columns, 0], uv[::columns, 1]
@@ -76,7 +76,7 @@ def clamped_triangles(triangles: np.ndarray, held: np.ndarray, cloth: np.ndarray
     return clamped
 
 
-def grid_columns(uv: np.ndarray, triangles: np.ndarray) -> int:
+def _grid_columns(uv: np.ndarray, triangles: np.ndarray) -> int:
     """nu of a grid of straight lines u, v that ascend, node number j·nu + i, with the triangles of `grid_triangles`."""
     columns = int(triangles[0, 2]) - 1 if len(triangles) else 0
     if columns < 2 or len(uv) % columns or len(uv) < 2 * columns:
