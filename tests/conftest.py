@@ -27,6 +27,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.slow)
 
 
+@pytest.fixture(autouse=True)
+def _as_wide_as_ever(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tables heed COLUMNS, and whoever runs tests may have set it: processes of pytest-xdist have."""
+    monkeypatch.delenv("COLUMNS", raising=False)
+
+
 @pytest.fixture(scope="session")
 def data_dir() -> Path:
     """The measured data, or a skip with the reason."""

@@ -22,7 +22,6 @@ MOST = 6  # blocks of a trace that an error's interval is made from: more would 
 FEW = 3  # recordings from which on their spread says how sure their mean is
 # Step of the differences for the intervals, in units of the scaled range: it looks over ripples as the search does.
 PROBE = 0.03
-ON_BOUND = 1e-9  # of the scaled range: what a change of units may move a value by that stands on its bound
 SINGULAR = 1e10  # condition number above which the data do not determine a parameter
 
 
@@ -53,16 +52,16 @@ def intervals(trials: Sequence[Trial], space: ParameterSpace, best: np.ndarray) 
     def half_of(columns: np.ndarray) -> np.ndarray:
         return jackknife_of_drapes(left_out, columns) if drapes else jackknife(columns, left, groups)
 
-    half = beside_held(half_of, jacobian, held_by_bounds(unit, jacobian, left))
+    half = beside_held(half_of, jacobian, held_by_bounds(space, best, jacobian, left))
     return space.from_unit(unit - half), space.from_unit(unit + half), condition**0.5
 
 
-def held_by_bounds(unit: np.ndarray, jacobian: np.ndarray, residual: np.ndarray) -> np.ndarray:
-    """Which parameters (P,) of a fit in the unit cube (P,) stand on a bound and would leave the range: that is where
-    Σ r² falls, from the sensitivities J (R, P) of its residual r (R,).
+def held_by_bounds(space: ParameterSpace, best: np.ndarray, jacobian: np.ndarray, residual: np.ndarray) -> np.ndarray:
+    """Which parameters (P,) of a fit (P,) are marked as on a bound and would leave the range: that is where Σ r² falls,
+    from the sensitivities J (R, P) in the unit cube of its residual r (R,).
     """
-    gradient = jacobian.T @ residual
-    return ((unit <= ON_BOUND) & (gradient > 0)) | ((unit >= 1 - ON_BOUND) & (gradient < 0))
+    outwards = np.where(space.to_unit(best) < 0.5, 1.0, -1.0) * (jacobian.T @ residual) > 0
+    return np.asarray(space.at_bound(best) & outwards)
 
 
 def beside_held(half_of: Callable[[np.ndarray], np.ndarray], jacobian: np.ndarray, held: np.ndarray) -> np.ndarray:

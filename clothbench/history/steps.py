@@ -20,12 +20,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from clothbench.core.errors import ClothbenchError
-from clothbench.core.statistics import fisher_quantile, student
+from clothbench.core.statistics import NORMAL, fisher_quantile, student
 
 ALPHA = 0.01  # share of series without any step in which one is told
-NORMAL = 1.959964  # half-width of a 95 % interval, in σ
+WIDE = 1.959964  # half-width of a 95 % interval, in σ
 FEWEST = 6  # values from which on their own scatter tells a noise
-SCATTER = 1.4826 / 2**0.5  # σ of normal values over the median |difference| of neighbours
+SCATTER = NORMAL / 2**0.5  # σ of normal values over the median |difference| of neighbours
 FREEDOM = 0.58  # degrees of freedom of the scatter for each value, see above
 NOTHING = 1e-12  # share of the largest value that counts as no noise at all
 
@@ -82,7 +82,7 @@ def freedom_of(values: Sequence[float], halves: Sequence[float]) -> float:
 def _noises(values: Sequence[float], halves: Sequence[float]) -> tuple[float | None, float | None]:
     """σ by the intervals, and by the scatter; None where it is not known."""
     known = np.asarray(halves, dtype=float)
-    stated = float(np.median(known[np.isfinite(known)])) / NORMAL if np.isfinite(known).any() else None
+    stated = float(np.median(known[np.isfinite(known)])) / WIDE if np.isfinite(known).any() else None
     return stated, SCATTER * float(np.median(np.abs(np.diff(values)))) if len(values) >= FEWEST else None
 
 
@@ -102,7 +102,7 @@ def _cuts(y: np.ndarray, sigma: float, freedom: float) -> list[int]:
 
 
 def _steps(y: np.ndarray, cuts: list[int], sigma: float, freedom: float) -> list[Step]:
-    parts, wide = np.split(y, cuts), NORMAL if math.isinf(freedom) else student(freedom)
+    parts, wide = np.split(y, cuts), WIDE if math.isinf(freedom) else student(freedom)
     return [
         Step(at, float(a.mean()), float(b.mean()), wide * sigma * (1 / len(a) + 1 / len(b)) ** 0.5)
         for at, a, b in zip(cuts, parts, parts[1:], strict=False)

@@ -41,7 +41,7 @@ def triangle_slots(
     ∂²/∂u∂v as `curvature_weights` sees them of differences of first derivatives, 1/m, 0 where nothing holds the slope;
     else 1. clamped: (F,), see `clamped_triangles`.
     """
-    columns = grid_columns(uv, triangles) if whole else 0
+    columns = _grid_columns(uv, triangles) if whole else 0
     if columns == 0:
         return 0, np.zeros((2, 0)), np.vstack([face_area[None], np.ones((3, len(face_area)))])
     u, v = uv[:columns, 0], uv[::columns, 1]
@@ -65,15 +65,18 @@ def _stiffen_clamps(cells: np.ndarray, clamped: np.ndarray) -> None:
         cells[component, kind, :, :-1] *= np.where(clamped != neighbour, AT_CLAMP, 1.0)
 
 
-def clamped_triangles(triangles: np.ndarray, held: np.ndarray, cloth: np.ndarray, columns: int) -> np.ndarray:
+def clamped_triangles(triangles: np.ndarray, held: np.ndarray, cloth: np.ndarray) -> np.ndarray:
     """Which triangles (F,) lie between grips: all three corners are `held` (G,), and there is `cloth` (F,) m² in them;
-    on a grid (of so many columns, 0: no grid) both triangles of a cell.
+    of a cell whose two triangles follow each other as in `grid_triangles`, cut or not, both or none.
     """
     clamped = np.isin(triangles, held).all(axis=1) & (cloth > 0)
-    return np.repeat(clamped.reshape(-1, 2).all(axis=1), 2) if columns else clamped
+    (a, b, d), (also_a, also_d, c) = triangles[:-1].T, triangles[1:].T
+    cells = np.flatnonzero((also_a == a) & (also_d == d) & (b == a + 1) & (c == d - 1))
+    clamped[cells] = clamped[cells + 1] = clamped[cells] & clamped[cells + 1]
+    return clamped
 
 
-def grid_columns(uv: np.ndarray, triangles: np.ndarray) -> int:
+def _grid_columns(uv: np.ndarray, triangles: np.ndarray) -> int:
     """nu of a grid of straight lines u, v that ascend, node number j·nu + i, with the triangles of `grid_triangles`."""
     columns = int(triangles[0, 2]) - 1 if len(triangles) else 0
     if columns < 2 or len(uv) % columns or len(uv) < 2 * columns:
@@ -112,7 +115,10 @@ def curvature_weights(
     clamped: (F,), triangles in a clamp, None for none. Where the cloth leaves a clamp its slope turns from the edge on,
     over half the way between the middles of two triangles: twice the curvature over half the area. The two triangles at
     that edge have √2 times the curvature across it, which costs as much; as between others, the cloth would begin to
-    turn half a triangle inside the clamp.
+    turn half a triangle inside the clamp. That is exact for energies quadratic in the curvature. Couples
+    (`rest_curvature`, `crease`) and what yields or rubs (`plastic_bending`, `bending_hysteresis`) are of another law,
+    and approach the edge with first order: the tip of a strip that curls and is clamped at two columns is 8, 4 and 2 %
+    too far off with 5, 10 and 20 free cells (as between others 20, 10 and 5 %).
     """
     beyond, far = _neighbours(triangles)
     rows = np.arange(len(triangles))

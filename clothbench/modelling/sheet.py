@@ -12,7 +12,6 @@ from clothbench.modelling.mesh import (
     clamped_triangles,
     curvature_weights,
     gradient_weights,
-    grid_columns,
     triangle_slots,
 )
 
@@ -82,7 +81,7 @@ def sheet_of(
         whole = share is None or bool((share > 1 - WHOLE).all())
     never = np.concatenate([np.array(held, dtype=np.int64), np.array(still, dtype=np.int64)])
     # Of grips only: the rim of a disc that clamps is no line of the mesh, and how far it holds allows for that.
-    clamped = clamped_triangles(triangles, never[: len(held)], cloth, grid_columns(uv, triangles) if whole else 0)
+    clamped = clamped_triangles(triangles, never[: len(held)], cloth)
     patch, curvature = curvature_weights(uv, triangles, gradient, face_area, clamped)
     columns, spacing, slots = triangle_slots(uv, triangles, cloth, whole, clamped)
     return Sheet(

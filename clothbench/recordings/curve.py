@@ -24,6 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.statistics import NORMAL, third_differences
 from clothbench.recordings.codec import freeze, hash_of, read, write
 from clothbench.recordings.layout import SPLITS, Layout, Variable
 from clothbench.recordings.rig import check_numbers
@@ -45,7 +46,10 @@ LONGEST = 20.0  # the stretch that no cloth survives
 LEAST = 1e-3  # of stretch, by which a curve changes
 LARGEST = 2.0  # m, of what a testing machine pulls
 STRONGEST = 1e6  # N, and N for each metre of width: several times what a fabric of carbon bears
-FALL, SCATTER = 0.05, 8.0  # of the range of stretch, and standard deviations of noise in it, that are no way back
+FALL, SCATTER = 0.05, 12.0  # of the range of stretch, and standard deviations of noise in it, that are no way back
+MOST = 0.75  # of the range of stretch, that is one whatever the noise
+EQUAL, ALIKE = 0.01, 3.0  # of the range, and standard deviations, by which tops of cycles differ that go equally far
+STRAY = 3.0  # steps beside a single sample, beyond which it stands out
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,17 +187,34 @@ def _check_stated(c: Curve, where: str) -> None:
 
 
 def last_rise(stretch: np.ndarray) -> slice:
-    """The samples of the last rise to the largest of stretches (M,): of several cycles the one that goes farthest.
+    """The samples of the last rise to the largest of stretches (M,): of several cycles the one that goes farthest, and
+    of those that go equally far, but for noise or a hundredth of the range, the last.
 
-    It begins where the last fall ends that is no noise: a twentieth of the range, and eight standard deviations of what
-    scatters from sample to sample, as third differences show it. Single samples that stand out are no fall.
+    It begins where the last fall ends that is no noise: a twentieth of the range, and twelve standard deviations of
+    what scatters from sample to sample, as third differences show it. Of few samples a ramp these show the turns, hence
+    three quarters of the range are always a fall. Single samples that stand out are none.
+    """
+    whole, way = float(np.ptp(stretch)), _without_strays(stretch)
+    scatter = NORMAL * float(np.median(np.abs(third_differences(np.arange(len(stretch)), stretch))))
+    fall = max(FALL * whole, min(SCATTER * scatter, MOST * whole))
+    alike = max(EQUAL * whole, min(ALIKE * scatter, FALL * whole))
+    end = int(np.flatnonzero(stretch >= stretch.max() - alike)[-1]) + 1
+    below = np.flatnonzero(np.maximum.accumulate(way[:end]) - way[:end] > fall)
+    first = int(below[-1]) if below.size else 0
+    top = first + int(np.argmax(stretch[first:end])) + 1
+    later = np.minimum.accumulate(way[:top][::-1])[::-1]
+    above = np.flatnonzero(way[:top] - later > fall)
+    begin = int(above[-1] + np.argmin(way[above[-1] : top])) if above.size else 0
+    return slice(begin, top)
+
+
+def _without_strays(stretch: np.ndarray) -> np.ndarray:
+    """Stretches (M,) with the median of three for what lies off it by more than three of the lesser of the steps on
+    either side: a turn lies off it by a step.
     """
     from scipy.ndimage import median_filter
 
-    top = int(np.argmax(stretch)) + 1
-    way = median_filter(stretch[:top], size=3, mode="nearest")
-    scatter = 1.4826 * float(np.median(np.abs(np.diff(stretch, n=3)))) / math.sqrt(20)
-    later = np.minimum.accumulate(way[::-1])[::-1]
-    above = np.flatnonzero(way - later > max(FALL * float(np.ptp(stretch)), SCATTER * scatter))
-    begin = int(above[-1] + np.argmin(way[above[-1] :])) if above.size else 0
-    return slice(begin, top)
+    median, step = median_filter(stretch, size=3, mode="nearest"), np.abs(np.diff(stretch))
+    beside = np.full(len(stretch), np.inf)  # the first two and the last two stay what they are
+    beside[2:-2] = np.minimum(step[:-3], step[3:])
+    return np.where(np.abs(stretch - median) > STRAY * beside, median, stretch)

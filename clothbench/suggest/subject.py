@@ -81,7 +81,7 @@ class Known:
             pieces += [start + rows for rows in of_one]
             start += len(r)
         left, columns = np.concatenate(residual), np.vstack(jacobian)
-        held = held_by_bounds(self.unit, columns, left)
+        held = held_by_bounds(fitted.space, fitted.theta, columns, left)
         astray = beside_held(lambda some: jackknife(some, left, pieces), columns, held)
         return np.maximum(self.half, np.minimum(astray, BEFOREHAND))
 

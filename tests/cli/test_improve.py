@@ -93,7 +93,7 @@ def verdict(done) -> dict:
 def test_the_verdict_names_the_planted_effect_with_its_amount(verdict):
     assert verdict["schema"] == 1
     assert set(verdict) >= KEYS
-    assert verdict["settings"] == {"bounds": {}, "resolution": 5}
+    assert verdict["settings"] == {"bounds": {}, "resolution": 5, "split_by_seed": False}
     assert (verdict["verdict"], [e["name"] for e in verdict["effects"]]) == ("attributed", ["clock_offset"])
     delay = verdict["effects"][0]["parameters"]["delay"]
     assert delay["low"] <= DELAY <= delay["high"]

@@ -288,7 +288,7 @@ def noise_in(position: np.ndarray) -> float:
     return noise_of(Observation(np.arange(frames) / 30, position, seen, np.nan, material))
 
 
-@pytest.mark.parametrize("frames", [6, 8, 20, 150])
+@pytest.mark.parametrize("frames", [4, 5, 6, 8, 20, 150])
 def test_noise_is_the_rms_over_coordinates_also_of_a_sensor_that_sees_depth_worse(frames):
     random, sigma = np.random.default_rng(frames), np.array([0.5e-3, 0.5e-3, 3e-3])
     position = random.normal(0, sigma, (frames, 2000, 3))

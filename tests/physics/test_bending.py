@@ -120,6 +120,38 @@ def test_a_small_cantilever_sags_as_from_its_clamp_s_edge(name):
         assert measures.rigidity(trial.scene, position) == pytest.approx(trial.material.bending, rel=1e-4)
 
 
+@pytest.mark.parametrize("cut", [0, 3], ids=["whole", "cut"])
+def test_three_corners_of_a_cell_are_no_clamp_and_four_are(cut):
+    nodes, triangles = np.arange(36).reshape(6, 6), grid_triangles((6, 6))
+    triangles, uv = triangles[: len(triangles) - cut], sheet((6, 6)).uv
+
+    def curvature(held):
+        return sheet_of(uv, np.ones(36), np.ones(36), triangles, (0, 0, 0), 1.2, held).curvature
+
+    three, fourth = (nodes[2, 2], nodes[2, 3], nodes[3, 3]), nodes[3, 2]
+    np.testing.assert_array_equal(curvature(three), curvature(()))
+    clamped, free = curvature((*three, fourth)), curvature(())
+    assert np.abs(clamped - free).max() > 0.3 * np.abs(free).max()
+
+
+@pytest.mark.parametrize(("cells", "error"), [(5, 0.083), (10, 0.041), (20, 0.021)])
+def test_couples_on_a_strip_clamped_at_two_columns_approach_its_edge_with_first_order(cells, error):
+    """Without weight, and with a couple M everywhere, its curvature is M/D: the tip is M L²/2D off."""
+    along, across, couple = np.arange(cells + 2) * 0.05 / cells, np.arange(3) * 0.05 / cells, 1e-4
+    uv = np.stack([a.ravel() for a in np.meshgrid(along, across)], axis=1)
+    held = np.flatnonzero(uv[:, 0] <= along[1])
+    triangles = grid_triangles((len(along), 3))
+    grid = sheet_of(uv, np.ones(len(uv)), np.ones(len(uv)), triangles, (0, 0, 0), 1.2, held)
+    bends, pushes = np.zeros((len(uv), len(uv))), np.zeros(len(uv))
+    for patch, weights, area in zip(grid.patch, grid.curvature, grid.face_area, strict=True):
+        for share, row in zip((1, 1, 2), weights, strict=True):
+            np.add.at(bends, np.ix_(patch, patch), share * area * np.outer(row, row))
+        np.add.at(pushes, patch, couple * area * weights[0])
+    columns = (uv[:, :1] == along[2:]).astype(float)  # bent to a cylinder
+    tip = np.linalg.solve(columns.T @ bends @ columns, columns.T @ pushes)[-1]
+    assert tip / (couple * 0.05**2 / 2) - 1 == pytest.approx(error, abs=1e-3)
+
+
 @pytest.mark.parametrize("inset", [0.2, 0.45])
 @pytest.mark.parametrize("name", ["baraff_witkin", "inextensible"])
 def test_cloth_beside_clamps_that_lie_within_the_hems_bends_too(name, inset):

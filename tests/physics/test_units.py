@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -40,6 +41,16 @@ def test_flexion_springs_and_their_dashpots_are_counted():
     probe, theta = units.stretch(17, 0.1), np.array([65.1, 39.0, 0.05])
     found = probe.found(MassSpring().prepare(probe.scene).run(theta[None]).position[0])
     assert found == pytest.approx(MassSpring().material_of(theta, probe.scene).stretch, rel=0.07)
+
+
+def test_a_strip_that_does_not_bend_tells_no_bending_and_says_so():
+    class Board(BaraffWitkin):
+        def prepare(self, scene, effects=()):
+            level = np.pad(scene.points, ((0, 0), (0, 1)))[None, None].repeat(len(scene.times), axis=1)
+            return SimpleNamespace(run=lambda theta: SimpleNamespace(position=level, status=("ok",), reasons=()))
+
+    told = units._measured(Board(), units.bending(9, 0.1), 9, 0.1)
+    assert (told.found, told.reason) == (None, "the strip does not bend")
 
 
 def test_a_unit_that_forgets_the_density_shows_as_a_factor_of_it():

@@ -297,7 +297,17 @@ def test_whiskers_stand_where_intervals_are_known_and_effects_have_a_unit():
 
 
 @pytest.mark.parametrize(
-    ("numbers", "told"), [({}, False), ({"total": 1.05}, False), ({"total": 1.2}, True), ({"main": -0.2}, True)]
+    ("numbers", "told"),
+    [
+        ({}, False),
+        ({"total": 1.05}, False),
+        ({"total": 1.2}, True),
+        ({"total": -0.2}, True),
+        ({"main": -0.05}, False),
+        ({"main": -0.2}, True),
+        ({"main": 1.2}, True),
+        ({"total": None, "total_half": None}, False),
+    ],
 )
 def test_shares_that_cannot_be_are_told(numbers, told):
     (drawn,) = sensitivity_figures([bars("k", **numbers)], {"k": "fit"}, {})

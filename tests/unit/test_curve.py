@@ -123,6 +123,35 @@ def test_noise_and_single_samples_are_no_way_back():
     assert last_rise(stray) == slice(0, 200)
 
 
+@pytest.mark.parametrize("noise", [0.0, 1e-5, 1e-3])
+def test_of_cycles_that_go_equally_far_the_last_counts(noise):
+    up = np.linspace(1.0, 1.2, 200)
+    cycles = np.tile(np.r_[up, up[::-1]], 3)
+    for seed in range(10):
+        rise = last_rise(cycles + np.random.default_rng(seed).normal(0, noise, len(cycles)))
+        assert rise.start == pytest.approx(800, abs=20)
+        assert rise.stop == pytest.approx(1000, abs=20)
+    farther = np.r_[up, up[::-1], 1 + 0.9 * (up - 1)]  # less far is no rise to the largest
+    assert last_rise(farther) == slice(0, 200)
+
+
+@pytest.mark.parametrize("ramp", [2, 3, 4, 5, 8])
+def test_cycles_of_few_samples_a_ramp_are_cycles(ramp):
+    """Tops of 1.200, 1.201 and 1.202; no sample of the way back is kept."""
+    turns = np.array([1.0, 1.2, 1.0, 1.201, 1.0, 1.202])
+    stretch = np.interp(np.arange(5 * ramp + 1) / ramp, np.arange(6), turns)
+    assert last_rise(stretch) == slice(4 * ramp, 5 * ramp + 1)
+    assert pulled(stretch=stretch, force=np.arange(float(len(stretch)))).motion == "loading"  # which is not refused
+
+
+@pytest.mark.parametrize("noise", [0.002, 0.01, 0.04])
+@pytest.mark.parametrize("samples", [200, 20000])
+def test_noise_is_no_way_back_however_many_samples_there_are(samples, noise):
+    up, random = np.linspace(1.0, 1.5, samples), np.random.default_rng(0)
+    for stretch in (up, np.r_[up, up[::-1]], np.r_[up, np.full(samples // 2, 1.5)]):
+        assert last_rise(stretch + random.normal(0, noise, len(stretch))).start == 0
+
+
 def film(distance: np.ndarray, force: np.ndarray) -> dict:
     """A video of a swatch whose lower clamp is so many pixels (M,) below the upper one."""
     track = np.zeros((7, 2, len(force)))

@@ -189,11 +189,11 @@ def too_few(method: str, bars: Sequence[tuple[Any, ...]]) -> str:
     """A word on shares that cannot be, by more than their half widths; "" where there are none."""
     if method != "sobol":
         return ""
-    beyond = [
-        name
-        for name, first, first_half, total, total_half in bars
-        if first + (first_half or 0.0) < 0 or (total or 0.0) - (total_half or 0.0) > 1
-    ]
+
+    def cannot_be(share: float | None, half: float | None) -> bool:
+        return share is not None and (share + (half or 0.0) < 0 or share - (half or 0.0) > 1)
+
+    beyond = [name for name, *shares in bars if cannot_be(*shares[:2]) or cannot_be(*shares[2:])]
     said = "a share below 0 or above 1 by more than its interval, which cannot be: there are too few samples"
     return f"{listed(beyond)}: {said} (analysis.sobol.samples)." if beyond else ""
 

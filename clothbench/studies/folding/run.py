@@ -114,7 +114,8 @@ class Hand:
         count, here = len(unit), self.hold(best[None], near).profile[0]
         jacobian = ((residual[1 : count + 1] - residual[count + 1 :]) / (up - down)[:, None]).T
         pieces, left = _pieces(here, seen, residual.shape[1]), residual[0]
-        half = beside_held(lambda j: jackknife(j, left, pieces), jacobian, held_by_bounds(unit, jacobian, left))
+        held = held_by_bounds(self.space, best, jacobian, left)
+        half = beside_held(lambda j: jackknife(j, left, pieces), jacobian, held)
         return np.stack([self.space.from_unit(unit - half), self.space.from_unit(unit + half)])
 
 

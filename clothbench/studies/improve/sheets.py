@@ -28,6 +28,7 @@ from clothbench.studies.improve.torque import Balance, balance_of
 from clothbench.studies.improve.whereabouts import whereabouts
 
 WITHOUT_NOISE = 1e-3  # of the most that a coordinate shows as its noise: one that shows less was written without any
+FEW = {1: 2.198, 2: 2.007}  # third differences: how often σ² the square of `noise_of` is, of normal values
 LEAST_GRID = 1e-7  # m: a rounding finer than this is none that matters
 MULTIPLES = 3  # different ones of a grid, by which it is known for one
 THIRDS = ("upper", "middle", "lower")  # of a hanging sheet, along v
@@ -250,7 +251,8 @@ def refined(scene: Scene) -> Scene:
 def noise_of(observation: Observation) -> float:
     """σ of one coordinate [m]: as stated, else the rms over nodes and coordinates of what each shows as its own: a
     sensor may see one direction worse than others. What it shows is the median of absolute third differences, which
-    wrinkles and jumps hardly change; of few frames its square comes out too large (by 4/(n + 1), found by simulation).
+    wrinkles and jumps hardly change; of n of them its square comes out too large by 4/(n + 1), found by simulation, and
+    of one or two as `FEW` has it.
     Nodes written without noise, as held ones may be, do not count, and none has less than its rounding.
     """
     if np.isfinite(observation.sigma):
@@ -262,7 +264,8 @@ def noise_of(observation: Observation) -> float:
     if not count.any():
         return math.nan
     third, count = third[:, count > 0], count[count > 0]
-    each = NORMAL * np.nanmedian(np.abs(third), axis=0) / np.sqrt(1 + 4 / (count + 1))
+    too_large = np.select([count == n for n in FEW], list(FEW.values()), 1 + 4 / (count + 1))
+    each = NORMAL * np.nanmedian(np.abs(third), axis=0) / np.sqrt(too_large)
     each = np.maximum(each, grid_of(x) / math.sqrt(12))
     noisy = each >= WITHOUT_NOISE * each.max()
     return float(np.sqrt(np.average(np.square(each[noisy]), weights=count[noisy])))

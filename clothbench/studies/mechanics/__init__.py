@@ -4,4 +4,4 @@
 and `subject` runs a model through one of them. Uses the public names of `clothbench` alone, as a plugin does.
 """
 
-VERSION = 2  # raised whenever a scene, a measure or a reference changes: results of another version are set aside
+VERSION = 3  # raised whenever a scene, a measure or a reference changes: results of another version are set aside

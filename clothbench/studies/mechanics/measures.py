@@ -12,6 +12,7 @@ from clothbench.reference.mechanics import G, swing_period
 from clothbench.studies.mechanics.scenes import LENGTH, first_mode, middle
 
 TOUCHING = 1e-3  # of a fold's height: a gap to the ground below which cloth counts as lying on it
+FLAT = 1e-9  # rad, of a turn at a node that is rounding
 
 
 class NoMeasure(ClothbenchError):
@@ -56,6 +57,8 @@ def rigidity(scene: Scene, x: np.ndarray) -> float:
     inner = range(2, len(line) - 1)
     moment = np.array([(weight[i:] * (along[i:] - along[i])).sum() for i in inner])
     curvature = -np.diff(angle)[[i - 1 for i in inner]] / step
+    if not np.abs(curvature).max(initial=0.0) * step > FLAT:
+        raise NoMeasure("the strip does not bend")
     return float(moment @ curvature / (curvature @ curvature))
 
 

@@ -88,7 +88,7 @@ class Mujoco:
     """
 
     name = "mujoco"
-    version = 1
+    version = 2
     parameters = PARAMETERS
     capabilities = frozenset({"dynamic", "static", "effects", "moving_start"})
     documented = DOCUMENTED

@@ -97,7 +97,7 @@ class Newton:
     """
 
     name = "newton"
-    version = 1
+    version = 2
     parameters = PARAMETERS["semi_implicit"]
     capabilities = frozenset({"dynamic", "static", "effects", "moving_start"})
     precision = "single"
