@@ -295,6 +295,8 @@ def usual_steps(time: np.ndarray) -> np.ndarray:
     after it, whichever is longer, as a clock may change its pace. Up to two of three steps there may lack a frame.
     """
     steps = np.diff(time)
+    if not steps.size:
+        return steps
     windows = np.lib.stride_tricks.sliding_window_view(np.pad(steps, NEIGHBOURS, mode="symmetric"), NEIGHBOURS)
     low = np.partition(windows, LEAST, axis=1)[:, LEAST]
     return np.maximum(low[: len(steps)], low[-len(steps) :])

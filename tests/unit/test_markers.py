@@ -512,6 +512,14 @@ def test_gaps_in_nodes_stay_and_gaps_in_grips_need_leave(tmp_path):
     assert np.argwhere(~made.visible).tolist() == [[5, 0]]
 
 
+def test_a_single_frame_is_a_line_and_no_gap(tmp_path):
+    time, position = run()
+    path = write(tmp_path / "run.csv", csv_lines(time[:1], position[:1]))
+    with pytest.raises(ClothbenchError) as caught:
+        record(path)
+    assert "\n" not in str(caught.value)
+
+
 @pytest.mark.parametrize(("is_up", "told"), [("y", "z"), ("x", "z"), ("z", "y"), ("y", "x"), ("z", "x")])
 def test_cloth_that_hangs_along_another_axis_is_refused_with_the_one_that_is_up(tmp_path, is_up, told):
     time, position = run()
