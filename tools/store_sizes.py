@@ -21,8 +21,9 @@ from typing import Any
 
 from clothbench.engine import index
 from clothbench.engine.leaderboard import ROW, SYSTEM
-from clothbench.engine.store import Store, write_table
+from clothbench.engine.store import Store
 from clothbench.engine.system import now, system_info
+from clothbench.engine.tables import write_table
 
 SIZES = (1_000, 10_000, 100_000)
 PLACES = (("swing", "fit"), ("sway", "held_out"), (None, "held_out"))  # recording and split; the last is their total

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from clothbench.cli.arguments import DEFAULT_OUT, parser
-from clothbench.cli.spelling import require_once
+from clothbench.cli.spelling import require_once, unexpected
 from clothbench.core.errors import ClothbenchError, nearest, one_line, seen
 from clothbench.core.output import kept_on, takes_all_letters
 
@@ -92,8 +92,7 @@ def key_values(settings: Sequence[str], allowed: Sequence[str]) -> dict[str, str
     for word in settings:
         key, sign, value = word.partition("=")
         if not sign or key not in allowed:
-            near = nearest(key, allowed) if sign else ""
-            raise ClothbenchError(f"found {word!r}, {near}expected {' or '.join(f'{a}=VALUE' for a in allowed)}")
+            raise unexpected(word, key, allowed)
         out[key] = value
     require_once(settings)
     return out

@@ -17,8 +17,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from clothbench.cli.idle import say_idle, say_split
 from clothbench.cli.run import composed
+from clothbench.cli.spelling import unexpected
 from clothbench.core.create_only import require_create_only
-from clothbench.core.errors import ClothbenchError, nearest
+from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import json_text
 from clothbench.core.output import takes_all_letters
 from clothbench.engine.bucket import is_address
@@ -126,8 +127,7 @@ def settings_of(words: Sequence[str]) -> dict[str, Any]:
         key, sign, value = word.partition("=")
         first = key.partition(".")[0]
         if not sign or first not in WORDS:
-            near = nearest(first, SHOWN) if sign else ""
-            raise ClothbenchError(f"found {word!r}, {near}expected {' or '.join(f'{a}=VALUE' for a in SHOWN)}")
+            raise unexpected(word, first, SHOWN)
         if key in PLAIN:
             plain[key] = value
         elif first in NESTED:  # what a plugin or a model brings is not known to the settings before

@@ -19,6 +19,12 @@ def as_setting(word: str, given: Sequence[str]) -> str:
     return f"{name.replace('-', '_')}={value}"
 
 
+def unexpected(word: str, name: str, expected: Sequence[str]) -> ClothbenchError:
+    """Of a word that is no NAME=VALUE with one of the names expected; name: which it has before the sign, if any."""
+    near = nearest(name, expected) if "=" in word else ""
+    return ClothbenchError(f"found {word!r}, {near}expected {' or '.join(f'{a}=VALUE' for a in expected)}")
+
+
 def given_twice(settings: Sequence[str]) -> str:
     """Which key KEY=VALUE words give two values, in words; "" where there is none."""
     known: dict[str, str] = {}

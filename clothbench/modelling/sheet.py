@@ -8,12 +8,7 @@ import numpy as np
 from numba import types
 
 from clothbench.core.kernels import bundle_type, lean_kernel
-from clothbench.modelling.mesh import (
-    clamped_triangles,
-    curvature_weights,
-    gradient_weights,
-    triangle_slots,
-)
+from clothbench.modelling.mesh import clamped_triangles, curvature_weights, gradient_weights, triangle_slots
 
 Sheet = namedtuple(
     "Sheet",

@@ -56,14 +56,25 @@ def test_a_sweep_says_which_job_it_is_at(recordings_folder, tmp_path):
     assert re.search(r"60/60 [^\r\n]* left [^\r\n]*best|\d+/60 [^\r\n]* left [^\r\n]*best", said)
 
 
-def test_what_is_left_is_reckoned_without_what_is_compiled_first(monkeypatch, capsys):
-    """Each cell takes 10 s for 100 evaluations, told in tenths; before the first, 60 s went into compiling."""
-    clock = [0.0]
-    monkeypatch.setattr("clothbench.engine.progress.time", SimpleNamespace(monotonic=lambda: clock[0]))
-    cells = [
-        SimpleNamespace(key=str(k), label=f"cell {k}", budget=100, counts="evaluations", value_word="best")
-        for k in range(5)
+@pytest.fixture
+def clock(monkeypatch) -> list[float]:
+    """The time [s] that progress is told, as its one element."""
+    now = [0.0]
+    monkeypatch.setattr("clothbench.engine.progress.time", SimpleNamespace(monotonic=lambda: now[0]))
+    return now
+
+
+def made_up(count: int, budget: int | None) -> list[SimpleNamespace]:
+    """Cells as progress sees them."""
+    return [
+        SimpleNamespace(key=str(k), label=f"cell {k}", budget=budget, counts="evaluations", value_word="best")
+        for k in range(count)
     ]
+
+
+def test_what_is_left_is_reckoned_without_what_is_compiled_first(clock, capsys):
+    """Each cell takes 10 s for 100 evaluations, told in tenths; before the first, 60 s went into compiling."""
+    cells = made_up(5, budget=100)
     with CellBar(cells) as bar:
         bar.done(cells[0], "kept")
         clock[0] = 60.0
@@ -79,13 +90,10 @@ def test_what_is_left_is_reckoned_without_what_is_compiled_first(monkeypatch, ca
     ]  # fmt: skip
 
 
-def test_of_cells_that_say_nothing_the_second_is_the_first_to_tell_what_is_left(monkeypatch, capsys):
+def test_of_cells_that_say_nothing_the_second_is_the_first_to_tell_what_is_left(clock, capsys):
     """The first took 60 s longer than the others."""
-    clock = [60.0]
-    monkeypatch.setattr("clothbench.engine.progress.time", SimpleNamespace(monotonic=lambda: clock[0]))
-    cells = [
-        SimpleNamespace(key=str(k), label=f"cell {k}", budget=None, counts="steps", value_word="of") for k in range(3)
-    ]
+    clock[0] = 60.0
+    cells = made_up(3, budget=None)
     with CellBar(cells) as bar:
         for cell in cells:
             clock[0] += 10.0
@@ -95,14 +103,10 @@ def test_of_cells_that_say_nothing_the_second_is_the_first_to_tell_what_is_left(
 
 
 @pytest.mark.parametrize("sweep", [False, True])
-def test_the_first_words_of_cells_side_by_side_are_no_pace(monkeypatch, sweep):
+def test_the_first_words_of_cells_side_by_side_are_no_pace(clock, sweep):
     """Of two workers each cell takes 10 s, told in tenths; it had been 8 s that are left when both had told a tenth."""
-    clock = [61.0]
-    monkeypatch.setattr("clothbench.engine.progress.time", SimpleNamespace(monotonic=lambda: clock[0]))
-    cells = [
-        SimpleNamespace(key=str(k), label=f"cell {k}", budget=100, counts="evaluations", value_word="best")
-        for k in range(8)
-    ]
+    clock[0] = 61.0
+    cells = made_up(8, budget=100)
     with CellBar(cells, Sweep(jobs=1, passed=1) if sweep else None, at_once=2) as bar:
         left = []
         for tenth in range(1, 11):
@@ -116,12 +120,8 @@ def test_the_first_words_of_cells_side_by_side_are_no_pace(monkeypatch, sweep):
     assert bar.bar.tasks[0].fields["left"] == "about 28 s left"
 
 
-def test_of_cells_side_by_side_that_say_nothing_as_many_have_to_end_as_run_at_once(monkeypatch, capsys):
-    clock = [0.0]
-    monkeypatch.setattr("clothbench.engine.progress.time", SimpleNamespace(monotonic=lambda: clock[0]))
-    cells = [
-        SimpleNamespace(key=str(k), label=f"cell {k}", budget=None, counts="steps", value_word="of") for k in range(6)
-    ]
+def test_of_cells_side_by_side_that_say_nothing_as_many_have_to_end_as_run_at_once(clock, capsys):
+    cells = made_up(6, budget=None)
     with CellBar(cells, at_once=2) as bar:
         for cell, clock[0] in zip(cells, (70.0, 71.0, 80.0, 81.0, 90.0, 91.0), strict=True):
             bar.done(cell, "ok")
@@ -131,9 +131,8 @@ def test_of_cells_side_by_side_that_say_nothing_as_many_have_to_end_as_run_at_on
     ]  # fmt: skip
 
 
-def test_a_sweep_reckons_the_jobs_that_are_left_in_the_same_way(monkeypatch):
-    clock, sweep = [60.0], Sweep(jobs=3, passed=1)
-    monkeypatch.setattr("clothbench.engine.progress.time", SimpleNamespace(monotonic=lambda: clock[0]))
+def test_a_sweep_reckons_the_jobs_that_are_left_in_the_same_way(clock):
+    clock[0], sweep = 60.0, Sweep(jobs=3, passed=1)
     assert sweep.left(0.1) is None
     clock[0] = 69.0
     assert sweep.left(1.0) == pytest.approx(20.0)

@@ -11,8 +11,6 @@ from clothbench import __version__
 from clothbench.engine.cells import Source, digest, options_in_use
 from clothbench.studies.improve.settings import LOOP
 
-REDUCED = {"curve": 2}  # version of how recordings of a kind become evidence: a cell of another one is asked anew
-
 
 @dataclass(frozen=True)
 class ImproveCell:
@@ -76,8 +74,6 @@ class ImproveCell:
         for name in ("begins", "fixed"):
             if not question[name]:  # as cells were asked before there were any
                 del question[name]
-        if self.kind in REDUCED:
-            question["reduced"] = REDUCED[self.kind]
         return digest([question, asdict(LOOP), __version__])
 
     @property

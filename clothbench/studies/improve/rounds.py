@@ -60,9 +60,7 @@ def one_round(
             continue
         account.count(count)
         found += more
-    search = problem.evidence.search
-    known, least = problem.of_split("fit"), (search.least_own, search.chance_recordings)
-    test = permutation_test(known, current, found, problem.seed, *least)
+    test = against_chance(problem, current, found)
     screened = screen(candidates, found, test, refused)
     tried: list[Candidate] = []
     promising = most_promising(screened, anew, promise)
@@ -75,7 +73,7 @@ def one_round(
         fitted, count = refit(problem, *one, goal)
         account.count(count)
         tried.append(dataclasses.replace(candidate, fitted=fitted))
-        goal = min(goal, search.contention * fitted.rms**2)
+        goal = min(goal, problem.evidence.search.contention * fitted.rms**2)
     tried = refine_finalists(problem, current, floor, fall, tried, account, turn)
     assessed = assess(current, fall, tried, problem.evidence, mesh)
     if named := choose(current, assessed, mesh):
@@ -142,10 +140,14 @@ def at_any_shape(problem: Problem, before: Fitted, name: str, probes: Sequence[P
         if all(np.isfinite(c).all() for c in change)
     ]
     mine = [*(p for p in probes if p.effect == name), *every]
+    return against_chance(problem, before, mine).p_alone(range(len(mine)))
+
+
+def against_chance(problem: Problem, fitted: Fitted, found: Sequence[Probe]) -> PermutationTest:
+    """The test of probes beside a fit, on the fit recordings, as suits the evidence."""
     search = problem.evidence.search
-    least = (search.least_own, search.chance_recordings)
-    test = permutation_test(problem.of_split("fit"), before, mine, problem.seed, *least)
-    return test.p_alone(range(len(mine)))
+    cases = problem.of_split("fit")
+    return permutation_test(cases, fitted, found, problem.seed, search.least_own, search.chance_recordings)
 
 
 def withdrawn(found: Round, floor: float, why: str) -> Round:
