@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from clothbench.core.brief import brief
 from clothbench.core.errors import ClothbenchError
 
 MOST_PIXELS = 2**25  # more than 8K video has: memory is taken for whole pictures, and a header may claim anything
@@ -31,6 +32,8 @@ class Camera:
     rotation: np.ndarray
     translation: np.ndarray
     distortion: np.ndarray = field(default_factory=lambda: np.zeros(5))
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         for name, shape in LENSES.items():
@@ -113,6 +116,8 @@ class Projector:
     lens: Camera
     period: float
 
+    __repr__ = brief
+
     def __post_init__(self) -> None:
         if not (math.isfinite(self.period) and self.period > 0):
             raise ClothbenchError(f"projector: period is {self.period}, expected pixels above 0")
@@ -127,6 +132,8 @@ class Video:
     frame: np.ndarray
     camera: Camera
     projector: Projector | None = None
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         frame = np.array(self.frame)
@@ -156,6 +163,8 @@ class View:
     fold: np.ndarray | None = None
     blur: float = 0.0
     threshold: float = math.nan
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         for name in ("silhouette", "angle", "fold"):

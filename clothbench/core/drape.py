@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from clothbench.core.brief import brief
 from clothbench.core.errors import ClothbenchError
 
 ANGLES = 360  # of an outline
@@ -52,6 +53,8 @@ class Outlines:
     sample: np.ndarray
     sigma: float
     pixel: float
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         for name in ("radius", "sample"):

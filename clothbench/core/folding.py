@@ -12,6 +12,8 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from clothbench.core.brief import brief
+
 
 @dataclass(frozen=True, eq=False)
 class FoldState:
@@ -29,6 +31,8 @@ class FoldState:
     press: np.ndarray
     status: tuple[str, ...]
     kept: Sequence[Any] = ()
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         for name in ("pose", "profile", "pull", "press"):
@@ -73,6 +77,8 @@ class FoldPath:
     origin: np.ndarray
     needed: np.ndarray
     laid: int = 0
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         for name, kind in (("phase", int), ("origin", float), ("needed", float)):

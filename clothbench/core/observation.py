@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from clothbench.core.brief import brief
 from clothbench.core.camera import Camera, View
 from clothbench.core.drape import Outlines
 from clothbench.core.errors import ClothbenchError
@@ -19,6 +20,8 @@ class GripPath:
     time: np.ndarray
     material: np.ndarray
     position: np.ndarray
+
+    __repr__ = brief
 
     @classmethod
     def while_known(cls, time: np.ndarray, material: np.ndarray, position: np.ndarray) -> GripPath:
@@ -79,6 +82,8 @@ class Observation:
     outlines: Outlines | None = None
     size: tuple[float, float] | None = None
     cloud: bool = False
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         for name in ("time", "position", "visible", "material", "confidence"):

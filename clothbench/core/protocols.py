@@ -13,6 +13,7 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
+from clothbench.core.brief import brief
 from clothbench.core.observation import Observation
 from clothbench.core.parameters import ParameterSpace
 from clothbench.core.rollout import Rollout
@@ -39,6 +40,8 @@ class Score:
     objectives: np.ndarray | None = None
     spread: np.ndarray | None = None
 
+    __repr__ = brief
+
 
 @dataclass(frozen=True)
 class Objective:
@@ -59,6 +62,8 @@ class Evaluation:
     value: np.ndarray
     residual: np.ndarray | None = None
     objectives: np.ndarray | None = None
+
+    __repr__ = brief
 
 
 @runtime_checkable

@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from clothbench.core.brief import brief
+
 STATUSES = ("ok", "diverged", "timeout")
 
 
@@ -24,6 +26,8 @@ class Rollout:
     nodes: int
     reasons: tuple[str, ...] = field(default=())
 
+    __repr__ = brief
+
     def __len__(self) -> int:
         return len(self.position)
 
@@ -34,6 +38,8 @@ class Interpolator:
 
     index: np.ndarray
     weight: np.ndarray
+
+    __repr__ = brief
 
     def __call__(self, position: np.ndarray) -> np.ndarray:
         """Node positions (..., nodes, 3) m → (..., N, 3) m."""

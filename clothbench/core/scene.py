@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from clothbench.core.brief import brief
 from clothbench.core.camera import Camera
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.outline import checked_outline
@@ -118,6 +119,8 @@ class Scene:
     velocity: np.ndarray | None = None
     camera: Camera | None = None
     outline: np.ndarray | None = None
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         for name in ("grip_time", "grip_material", "grip_position", "times", "points", "start", "velocity"):

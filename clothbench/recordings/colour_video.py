@@ -30,6 +30,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from clothbench.core.brief import brief
 from clothbench.core.camera import Camera
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.pictures import picture_of, silenced
@@ -61,6 +62,8 @@ class Marks:
 
     material: np.ndarray
     pixel: np.ndarray
+
+    __repr__ = brief
 
 
 def _unpack_camera(arrays: Arrays, stated: Stated, path: Path) -> Camera | None:
@@ -130,6 +133,8 @@ class ColourVideo(RawRecording):
     world: str = "cloth"
     marks: Marks | None = None
     layout: ClassVar[Layout] = LAYOUT
+
+    __repr__ = brief
 
     def check(self, where: str) -> None:
         _check(self, where)

@@ -23,6 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
+from clothbench.core.brief import brief
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.statistics import NORMAL, third_differences
 from clothbench.recordings.codec import freeze, hash_of, read, write
@@ -77,6 +78,8 @@ class Curve:
     split: str = ""
     notes: dict[str, str] = field(default_factory=dict)
     path: str = field(default="", compare=False)
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         freeze(self, LAYOUT)

@@ -28,6 +28,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from clothbench.core.brief import brief
 from clothbench.core.camera import Camera
 from clothbench.core.errors import ClothbenchError
 from clothbench.recordings.codec import read, write
@@ -58,6 +59,8 @@ class Colour:
 
     time: np.ndarray
     frame: np.ndarray
+
+    __repr__ = brief
 
 
 def _unpack_camera(arrays: Arrays, stated: Stated, path: Path) -> Camera:
@@ -115,6 +118,8 @@ class DepthImages(RawRecording):
     camera: Camera
     colour: Colour | None = None
     layout: ClassVar[Layout] = LAYOUT
+
+    __repr__ = brief
 
     def check(self, where: str) -> None:
         _check(self, where)

@@ -21,6 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
+from clothbench.core.brief import brief
 from clothbench.core.camera import matrix_fault
 from clothbench.core.errors import ClothbenchError
 from clothbench.recordings.codec import freeze, hash_of, read, write
@@ -61,6 +62,8 @@ class LaserImages:
     source: str = ""
     notes: dict[str, str] = field(default_factory=dict)
     path: str = field(default="", compare=False)
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         freeze(self, LAYOUT)

@@ -31,6 +31,7 @@ from typing import Any
 
 import numpy as np
 
+from clothbench.core.brief import brief
 from clothbench.core.camera import Camera, Video
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import files_below
@@ -141,6 +142,8 @@ class Recording:
     obstacles: tuple[Obstacle, ...] | None = None
     thickness: float | None = None
     path: str = field(default="", compare=False)
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         freeze(self, LAYOUT)

@@ -23,6 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
+from clothbench.core.brief import brief
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.outline import within
 from clothbench.core.scene import Obstacle
@@ -98,6 +99,8 @@ class PointCloud:
     obstacles: tuple[Obstacle, ...] | None = None
     thickness: float | None = None
     path: str = field(default="", compare=False)
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         freeze(self, LAYOUT)

@@ -20,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
+from clothbench.core.brief import brief
 from clothbench.core.errors import ClothbenchError
 from clothbench.recordings.codec import freeze, hash_of, read, write
 from clothbench.recordings.layout import Layout, Variable
@@ -71,6 +72,8 @@ class Silhouettes:
     split: str = ""
     notes: dict[str, str] = field(default_factory=dict)
     path: str = field(default="", compare=False)
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         freeze(self, LAYOUT)

@@ -283,6 +283,28 @@ def test_a_node_that_is_nowhere_near_the_cloth_is_refused(recording):
     assert dataclasses.replace(recording, position=position).position.shape == position.shape
 
 
+@pytest.mark.parametrize("change", ["grips exchanged", "nodes counted from the other side"])
+def test_grips_in_another_order_than_their_places_are_refused(recording, change):
+    if change == "grips exchanged":
+        changed = {"grip_position": recording.grip_position[:, ::-1]}
+    else:
+        changed = {"material": recording.material * [-1.0, 1.0] + [recording.cloth_width, 0.0]}
+    with pytest.raises(ClothbenchError, match=r"'grip_position': found grip 0 at no time nearer .*; are grips, or nodes, "):
+        dataclasses.replace(recording, **changed)
+
+
+def test_grips_that_are_known_a_little_aside_are_for_a_model_to_explain(recording):
+    aside = 0.1 * np.hypot(recording.cloth_width, recording.cloth_height)
+    dataclasses.replace(recording, grip_position=recording.grip_position + [aside, 0.0, 0.0])
+
+
+def test_at_a_prompt_arrays_show_their_shapes_and_what_is_not_stated_is_left_out(recording):
+    shown = repr(recording)
+    t, n, _ = recording.position.shape
+    assert shown.startswith("Recording(name='") and f"position=array({t} × {n} × 3)" in shown
+    assert "\n" not in shown and "outline" not in shown and len(shown) < 1000
+
+
 def test_positions_that_are_all_one_are_refused_of_a_file(recording, tmp_path):
     for place in (0.0, 1.5):
         made = dataclasses.replace(recording, position=np.full_like(recording.position, place), path="")
