@@ -289,7 +289,9 @@ def test_grips_in_another_order_than_their_places_are_refused(recording, change)
         changed = {"grip_position": recording.grip_position[:, ::-1]}
     else:
         changed = {"material": recording.material * [-1.0, 1.0] + [recording.cloth_width, 0.0]}
-    with pytest.raises(ClothbenchError, match=r"'grip_position': found grip 0 at no time nearer .*; are grips, or nodes, "):
+    with pytest.raises(
+        ClothbenchError, match=r"'grip_position': found grip 0 at no time nearer .*; are grips, or nodes, "
+    ):
         dataclasses.replace(recording, **changed)
 
 
