@@ -55,6 +55,14 @@ class Fit:
         return len(self.value)
 
     @property
+    def error(self) -> float:
+        """The value of the best, NaN where nothing came to a number. Another may have less: of several objectives the
+        best is `chosen` on their front.
+        """
+        mine = (self.theta == self.best).all(axis=1) & np.isfinite(self.value)
+        return float(self.value[mine][0]) if mine.any() else float("nan")
+
+    @property
     def lost(self) -> int:
         """How many evaluations came to nothing: runs that diverged or took too long."""
         return int((~np.isfinite(self.value)).sum())

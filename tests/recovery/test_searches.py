@@ -120,11 +120,40 @@ def test_nelder_mead_is_scipy_s():
         return problem.evaluate(problem.space.from_unit(unit[None])).value[0]
 
     _, unit, *_ = search("nelder_mead", problem, 60, start="defaults")
-    simplex = unit[1:5]
+    simplex = unit[:4]  # its first corner is the start, which is not asked for again
     options = {"initial_simplex": simplex, "adaptive": True, "xatol": 1e-3, "fatol": np.inf}
     minimize(value_of, simplex[0], method="Nelder-Mead", bounds=[(0, 1)] * 3, options=options)
-    count = min(len(taken), 60) - 5
-    np.testing.assert_allclose(unit[5 : 5 + count], np.array(taken)[4 : 4 + count], atol=1e-9)
+    count = min(len(taken), 60)
+    np.testing.assert_allclose(unit[:count], np.array(taken)[:count], atol=1e-9)
+
+
+def test_nelder_mead_asks_for_nothing_that_it_knows_when_it_begins_anew():
+    optimizer, unit, _, batches = search("nelder_mead", bowl(3), 500)
+    assert optimizer.stopped == "converged"
+    assert batches[0] == 17
+    assert batches.count(3) >= 2  # simplices, each without its first corner
+    assert 4 not in batches
+    assert len(np.unique(unit, axis=0)) == len(unit)
+
+
+@pytest.mark.parametrize("size", [0.01, 1e-3, 5e-4])
+def test_nelder_mead_moves_from_a_small_simplex_before_it_says_that_it_converged(size):
+    """The optimum is far off, and even a small simplex grows towards it."""
+    problem = bowl(3)
+    optimizer, unit, value, _ = search("nelder_mead", problem, 500, start="defaults", size=size)
+    assert optimizer.stopped == "converged"
+    assert np.abs(unit[np.argmin(value)] - [0.62, 0.31, 0.73]).max() < 0.05
+
+
+@pytest.mark.parametrize(
+    ("name", "budget", "told"),
+    [("ga", 951, "50 generations"), ("ga", 950, "budget spent"), ("ga", 1000, "50 generations"),
+     ("annealing", 100, "cooled down"), ("cma_es", 100, "budget spent"), ("cma_es", 8, "budget spent")],
+)  # fmt: skip
+def test_a_search_that_ends_with_its_budget_says_why_it_ended(name, budget, told):
+    optimizer, unit, *_ = search(name, bowl(3), budget)
+    assert optimizer.stopped == told
+    assert len(unit) == min(budget, 951)
 
 
 def test_an_abandoned_search_leaves_no_thread():

@@ -131,6 +131,33 @@ def test_repeated_fits_begin_within_five_percent_and_find_the_same():
     assert all(r["error"] <= r["error_start"] + 1e-9 for r in rows)
 
 
+class TwoGoals(Bowl):
+    """Wants a gain of 0.6 and, as much, one of 1.8."""
+
+    def __call__(self, observation, rollout):
+        gain = rollout.position[:, 5, 0, 0]
+        goals = np.stack([np.abs(gain - 0.6), (gain - 1.8) ** 2 + 0.2], axis=1)
+        return Score(np.sqrt((goals**2).mean(axis=1)), "mm", objectives=goals, spread=np.ones(2))
+
+
+def test_the_error_of_repeated_fits_is_that_of_the_values_beside_it():
+    """Which the choice from the front took; another row may have less."""
+    trial, least = dataclasses.replace(bowl_trial(), metric=TwoGoals()), []
+
+    def search(space, seed):
+        walk = catalogue().make("optimizers", "annealing", space, seed=seed, budget=60, start="defaults")
+        found = calibrate([trial], walk, space, bounded=False, choice="knee")
+        least.append(np.nanmin(found.value) < found.error)
+        return found
+
+    rows = repeats([trial], SPACE, search(SPACE, 0), 2, 7, search)
+    for n in range(3):
+        mine = [row for row in rows if row["repeat"] == n]
+        theta = np.array([[row["value"] for row in mine]])
+        assert mine[0]["error"] == pytest.approx(remembered([trial], theta, None).value[0], abs=1e-12)
+    assert any(least)
+
+
 @pytest.mark.parametrize("name", ["nelder_mead", "annealing"])
 def test_a_search_that_begins_at_the_defaults_has_not_looked_around(name):
     """Its repeats begin as it did, and get as many evaluations."""

@@ -66,6 +66,24 @@ def test_a_parameter_with_a_number_is_held_in_all_cases(tmp_path):
     assert [dict(c.fixed) for c in cells] == [{"zeta": 0.2, "k2": 1.0}] * 2 + [{"zeta": 0.2}] * 2
 
 
+def test_the_parameter_of_an_effect_is_held_by_its_dotted_name(tmp_path):
+    """A parser of settings takes the dot for a level, as it does in the name of a case with its parameter."""
+    suite = {
+        "fixed": {
+            "linear_drag": {"coefficient": 0.5},
+            "*": {"zeta": 0.2},
+            "silk/*": {"linear_drag": {"coefficient": 2}},
+        }
+    }
+    cells = plan(config(stand_ins(tmp_path), effects=["linear_drag"], suite=suite), catalogue())
+    held = [{"linear_drag.coefficient": 2.0, "zeta": 0.2}] * 2 + [{"linear_drag.coefficient": 0.5, "zeta": 0.2}] * 2
+    assert [dict(c.fixed) for c in cells] == held
+    with pytest.raises(ClothbenchError, match=r"no parameter 'linear_drag.coeficient'; did you mean 'linear_drag.coef"):
+        plan(
+            config(tmp_path, effects=["linear_drag"], suite={"fixed": {"linear_drag": {"coeficient": 1}}}), catalogue()
+        )
+
+
 @pytest.mark.parametrize(
     ("suite", "found"),
     [

@@ -1,14 +1,15 @@
 """Searches beside each other: hypervolume, and what is said of several optimizers over several seeds."""
 
-import json
 from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from clothbench.engine.cells import Source
 from clothbench.engine.study import Results
 from clothbench.engine.tables import write_table
+from clothbench.studies.calibration.cell import CalibrationCell, asked
 from clothbench.studies.calibration.schema import QUESTION
 from clothbench.studies.calibration.searches import WORST, contests, hypervolume
 from clothbench.studies.calibration.searches_page import contest_tables, searches_section
@@ -84,19 +85,54 @@ def test_searches_of_other_budgets_or_settings_are_not_averaged(tmp_path):
     assert all(s.seeds == 3 for c in both for s in c.searches)
 
 
+def keep_questions(results, **more):
+    """Leave beside each row's history what its cell was asked, as a run does; more: of the cell's fields."""
+    told = {"options": {}, "report": (), **more}
+    for row in results.rows:
+        metrics = [f"metrics/{name}" for name in ("d", *told["report"])]
+        used = ["models/m", f"optimizers/{row['optimizer']}", "trackers/markers", *metrics]
+        cell = CalibrationCell(
+            suite="s", case="c", recordings=(Source("r.nc", "r", "ab", "fit"),), model="m", effects=(), metric="d",
+            tracker="markers", optimizer=row["optimizer"], seed=row["seed"],
+            versions=dict.fromkeys(used, "clothbench 1"), **told,
+        )  # fmt: skip
+        kept = [{"question": asked(cell), "key": row["key"]}]
+        write_table(results.store.cell(row["key"]) / "question.parquet", kept, QUESTION)
+
+
 def test_searches_for_something_else_are_another_contest(tmp_path):
-    """Other bounds are another question; the options of the optimizer and its version are not."""
+    """Other bounds are another question, and so are other options of what is simulated; those of optimizers are not."""
     runs, rows = {"quick": [[1.0]] * 3, "slow": [[2.0]] * 3}, []
-    for number, bend in enumerate((1e-3, 1e-2)):
-        found = results_of(tmp_path, runs, settings=f"{bend}")
-        for row in found.rows:
-            asked = {"optimizer": row["optimizer"], "bounds": {"bend": [0.0, bend]}, "recordings": [],
-                     "options": {row["optimizer"]: {"size": number}}, "versions": {}}  # fmt: skip
-            question = [{"question": json.dumps(asked), "key": row["key"]}]
-            write_table(tmp_path / row["key"] / "question.parquet", question, QUESTION)
+    for number, (bend, step) in enumerate(((1e-3, 1), (1e-2, 1), (1e-2, 2))):
+        found = results_of(tmp_path, runs, settings=f"{number}")
+        options = {"m": {"dt": step}, **{name: {"size": number} for name in runs}}
+        keep_questions(found, bounds={"bend": (0.0, bend)}, options=options)
         rows += found.rows
-    both = contests(Results(found.store, rows))
-    assert [sorted(s.optimizer for s in c.searches) for c in both] == [["quick", "slow"]] * 2
+    every = contests(Results(found.store, rows))
+    assert [sorted(s.optimizer for s in c.searches) for c in every] == [["quick", "slow"]] * 3
+
+
+def test_a_search_that_is_told_something_is_beside_the_others(tmp_path):
+    """Each cell of a run keeps the options of all its plugins, as `start` for all that take it after `prior=`."""
+    results = results_of(tmp_path, {"quick": [[1.0]] * 3, "slow": [[2.0]] * 3, "plain": [[3.0]] * 3})
+    keep_questions(results, options={"quick": {"population": 10, "start": "defaults"}, "slow": {"start": "defaults"}})
+    (found,) = contests(results)
+    assert [s.optimizer for s in found.searches] == ["plain", "quick", "slow"]
+
+
+def test_what_is_only_reported_is_no_other_question(tmp_path):
+    first = results_of(tmp_path, {"quick": [[1.0]] * 3})
+    other = results_of(tmp_path, {"slow": [[2.0]] * 3})
+    keep_questions(first, report=("e",))
+    keep_questions(other)
+    (found,) = contests(Results(first.store, first.rows + other.rows))
+    assert len(found.searches) == 2
+
+
+def test_effects_are_joined_as_in_other_tables(tmp_path):
+    results = results_of(tmp_path, {"quick": [[1.0]] * 3, "slow": [[2.0]] * 3}, effects="drag,lift")
+    (found,) = contests(results)
+    assert found.model == "m + drag + lift"
 
 
 def test_the_same_seed_again_and_other_budgets_are_no_further_seeds(tmp_path):

@@ -18,6 +18,7 @@ from clothbench.engine.store import Store
 from clothbench.engine.suite import plan
 from clothbench.estimation.calibrate import Fit
 from clothbench.plugins.discovery import catalogue
+from clothbench.studies.calibration import analysis
 from clothbench.studies.calibration.cell import asked, asked_again, asked_and_fitted, set_up
 from clothbench.studies.calibration.run import _status
 from clothbench.studies.calibration.stages import searched, shared_out, stages_of, with_mesh
@@ -160,6 +161,23 @@ def test_what_the_clock_stops_on_the_coarse_mesh_is_the_cells_own_result(clothbe
     assert clothbench("store", "check", "runs").returncode == 0
     with pytest.raises(ClothbenchError, match="was stopped by the clock, which no other machine does"):
         require_ended(Store(recordings_folder.parent / "runs"), folder.name)
+
+
+def test_repeats_walk_as_long_as_the_fit_on_both_meshes(recordings_folder, monkeypatch):
+    cell = cell_of(recordings_folder, budget=24, options={"annealing": {"share": 0.3}})
+    bench = set_up(cell, catalogue())
+    coarse, fine = searched(stages_of(bench, catalogue()), catalogue(), Checkpoint(), bench.space, 24, 4)
+    assert [coarse.evaluations, fine.evaluations] == [18, 6]
+    assert coarse.looked > 1
+    again = []
+
+    def watched(*given, **more):
+        again.append(searched(*given, **more))
+        return again[-1]
+
+    monkeypatch.setattr(analysis, "searched", watched)
+    analysis.ANALYSES["repeats"](bench, with_mesh(coarse, fine, cell), {"count": 1}, catalogue(), Checkpoint())
+    assert [[fit.evaluations for fit in fits] for fits in again] == [[18 - coarse.looked, 6]]
 
 
 def test_another_search_of_the_cell_has_time_of_its_own(recordings_folder):

@@ -81,13 +81,15 @@ def _repeats(bench: Bench, fit: Fit, options: Options, plugins: Catalogue, check
         reason = f"optimizer {cell.optimizer!r} cannot begin at a given start"
         return {"repeats": [{"repeat": 0, "reason": reason, "unit": None}]}
     stages = stages_of(bench, plugins)
-    budget = max(1, cell.budget - fit.looked)  # as long a walk as the fit's own, which looked around first
 
     def search(space: ParameterSpace, seed: int) -> Fit:
-        # As long a search as the fit's own, also where that was stopped by the clock; and of the same time again where
-        # the run was stopped and goes on.
+        # As long a walk as the fit's own, which looked around first, also where the clock stopped it; and of the same
+        # time again where the run was stopped and goes on.
         since = float(checkpoint.once(f"since-{seed}", lambda: {"seconds": np.array(checkpoint.seconds)})["seconds"])
-        return searched(stages, plugins, checkpoint, space, budget, seed, begin=True, bounded=False, since=since)[-1]
+        return searched(
+            stages, plugins, checkpoint, space, cell.budget, seed, begin=True, looked=fit.looked, bounded=False,
+            since=since,
+        )[-1]  # fmt: skip
 
     seed = cell.stream("repeats") % 2**32
     return {"repeats": repeats(bench.of_split("fit"), bench.space, fit, options["count"], seed, search, checkpoint)}

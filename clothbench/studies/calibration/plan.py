@@ -35,7 +35,8 @@ PRODUCT = ("model", "optimizer", "metric")
 
 def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | None = None) -> list[CalibrationCell]:
     """Every cell of checked settings; all recordings are read and all plugins made once before any is run."""
-    suite, analyses = suite_settings(settings["suite"]), analysis_settings(settings["analysis"])
+    suite = suite_settings(settings["suite"], plugins.names("effects"))
+    analyses = analysis_settings(settings["analysis"])
     require_plugins(settings, PRODUCT)
     recordings = read_all(where({**settings, "suite": suite}, progress))
     refuse_stated_weight(recordings, settings["scene"].get("areal_density"))

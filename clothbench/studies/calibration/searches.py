@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from clothbench.core.errors import ClothbenchError
-from clothbench.engine.cells import digest
+from clothbench.engine.cells import digest, options_in_use
 from clothbench.engine.study import Results
 from clothbench.engine.tables import read_table
 from clothbench.estimation.front import on_front
@@ -100,26 +100,32 @@ def contests(results: Results) -> list[Contest]:
         least = [np.fmin.reduce(r.value) for some in runs.values() for r in some]
         goal = float(np.quantile(least, GOAL, method="inverted_cdf"))  # one that a run did come to, none in between
         found = tuple(_search(name, some, goal) for name, some in runs.items())
-        out.append(Contest(case, " + ".join(filter(None, (model, effects))), metric, unit, goal, found, budget,
+        whole = " + ".join([model, *filter(None, effects.split(","))])
+        out.append(Contest(case, whole, metric, unit, goal, found, budget,
                            any(r.coarse for some in runs.values() for r in some),
                            tuple(sorted(enough.keys() - kept.keys()))))  # fmt: skip
     return out
 
 
 def _meant(results: Results, row: dict[str, Any]) -> str:
-    """A digest of what its cell was asked, whatever searched for the answer; "" where that was not kept."""
+    """A digest of what its cell was asked, whatever searched for the answer; "" where that was not kept.
+
+    Of plugins those count that make the question: a cell keeps the options of all that its run had, other optimizers
+    among them, and the versions of metrics that it only reports.
+    """
     path = results.store.cell(row["key"]) / "question.parquet"
     if not path.is_file():
         return ""
     asked = read_table(path, ASKED)["question"].to_pylist()
     try:
         cell = json.loads(asked[0])
-        own = f"optimizers/{cell['optimizer']}"
+        used = [("models", cell["model"]), ("metrics", cell["metric"]), ("trackers", cell["tracker"])]
+        used += [("effects", name) for name in cell["effects"]]
         return digest([
             [cell.get(name) for name in MEANT],
             sorted((source["hash"], source["split"]) for source in cell["recordings"]),
-            {name: told for name, told in cell["options"].items() if name != cell["optimizer"]},
-            {name: version for name, version in cell["versions"].items() if name != own},
+            options_in_use(cell["options"], {name for _, name in used}),
+            [cell["versions"].get(f"{kind}/{name}") for kind, name in used],
         ])  # fmt: skip
     except (ValueError, LookupError, TypeError, AttributeError):
         raise ClothbenchError(

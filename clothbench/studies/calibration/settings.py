@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 from clothbench.core.errors import ClothbenchError
-from clothbench.engine.settings import known_words, mapping, number, some_words, whole, words
+from clothbench.engine.settings import flat, known_words, mapping, number, some_words, whole, words
 from clothbench.studies.calibration.schema import LEAST_BLOCKS
 
 SUITE_WORDS = frozenset(
@@ -26,12 +26,13 @@ ANALYSES: dict[str, dict[str, Any]] = {
 LEAST = {("sobol", "samples"): LEAST_BLOCKS}  # of numbers of which more than two are needed
 
 
-def suite_settings(suite: Mapping[str, Any]) -> dict[str, Any]:
+def suite_settings(suite: Mapping[str, Any], effects: Collection[str] = ()) -> dict[str, Any]:
+    """What is said under `suite`, checked; effects: names of those that are installed."""
     out = dict(suite)
     for key in ("fixed", "effects"):
         out[key] = mapping(f"suite.{key}", out.get(key))
     out["effects"] = {model: words(f"suite.effects.{model}", names) for model, names in out["effects"].items()}
-    out["fixed"] = _fixed(out["fixed"])
+    out["fixed"] = _fixed(out["fixed"], effects)
     out["published"] = {
         metric: {
             str(n): _figure(f"suite.published.{metric}.{n}", v) for n, v in mapping("suite.published", values).items()
@@ -64,14 +65,18 @@ def _figure(name: str, told: Any) -> float | str:
         ) from None
 
 
-def _fixed(stated: Mapping[str, Any]) -> dict[str, dict[str, float]]:
-    """What is held, by pattern of cases; a parameter with a number, as in suite.fixed.k1=100, is held in all cases."""
+def _fixed(stated: Mapping[str, Any], effects: Collection[str]) -> dict[str, dict[str, float]]:
+    """What is held, by pattern of cases; a parameter with a number, as in suite.fixed.k1=100, is held in all cases.
+
+    So is what lies below the name of an effect, which is its parameter (suite.fixed.linear_drag.coefficient=2): a case
+    that bears an effect's name is told by a pattern that is not that name, as "[l]inear_drag".
+    """
     out: dict[str, dict[str, float]] = {}
     for name, values in stated.items():
-        if isinstance(values, Mapping):
-            out[name] = {str(n): number(f"suite.fixed.{n}", v) for n, v in values.items()}
-        else:
-            out.setdefault("*", {})[name] = number(f"suite.fixed.{name}", values)
+        everywhere = name in effects or not isinstance(values, Mapping)
+        pattern, told = ("*", {name: values}) if everywhere else (name, values)
+        held = {n: number(f"suite.fixed.{n}", value) for n, value in flat(told).items()}
+        out[pattern] = out.get(pattern, {}) | held
     return out
 
 

@@ -37,17 +37,19 @@ def searched(
     seed: int,
     *,
     begin: bool = False,
+    looked: int = 0,
     progress: Progress | None = None,
     bounded: bool = True,
     since: float = 0.0,
 ) -> list[Fit]:
     """The fit of each stage that was begun; the next begins where the one before it ended, if that one came to an end.
 
-    begin: at the space's defaults, without a look around first. Only the last has intervals, if `bounded`. since: s on
-    the checkpoint's clock from which the cell's timeout counts: other searches of the cell have had time of their own.
+    begin: at the space's defaults, without a look around first; looked: what this look took of the budget of another
+    search, whose walks are to be as long as these. Only the last has intervals, if `bounded`. since: s on the
+    checkpoint's clock from which the cell's timeout counts: other searches of the cell have had time of their own.
     """
     fits: list[Fit] = []
-    for bench, evaluations in zip(stages, shared_out(budget, stages[-1].cell), strict=True):
+    for bench, evaluations in zip(stages, shared_out(budget, stages[-1].cell, looked), strict=True):
         cell, last = bench.cell, bench is stages[-1]
         told = cell.option(cell.optimizer) | ({"start": "defaults"} if begin or fits else {})
         optimizer = plugins.make("optimizers", cell.optimizer, space, seed=seed, budget=evaluations, **told)
@@ -64,12 +66,10 @@ def searched(
     return fits
 
 
-def shared_out(budget: int, cell: CalibrationCell) -> list[int]:
-    """Evaluations of each stage."""
-    if not cell.finer:
-        return [budget]
-    fine = min(max(1, round(cell.finer["share"] * budget)), budget - 1)
-    return [budget - fine, fine]
+def shared_out(budget: int, cell: CalibrationCell, looked: int = 0) -> list[int]:
+    """Evaluations of each stage; the first goes without those that another search looked around with."""
+    fine = [min(max(1, round(cell.finer["share"] * budget)), budget - 1)] if cell.finer else []
+    return [max(1, budget - sum(fine) - looked), *fine]
 
 
 def _after(before: int, progress: Progress | None) -> Progress | None:

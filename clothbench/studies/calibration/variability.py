@@ -99,10 +99,9 @@ def repeats(
         start = begin if n == 0 else np.clip(near, space.low, space.high)
         found = search(moved(space, start), seed + n) if n else fit
         first = float(remembered(trials, start[None], checkpoint).value[0])
-        error = float(np.nanmin(found.value)) if np.isfinite(found.value).any() else math.nan
         rows += [
             {"repeat": n, "name": p.name, "symbol": p.symbol, "unit": p.unit, "start": float(start[i]),
-             "value": float(found.best[i]), "error_start": first, "error": error, "reason": ""}
+             "value": float(found.best[i]), "error_start": first, "error": found.error, "reason": ""}
             for i, p in enumerate(space)
         ]  # fmt: skip
     return rows

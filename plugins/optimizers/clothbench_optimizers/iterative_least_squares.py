@@ -15,10 +15,12 @@ from clothbench_optimizers.search import GeneratorSearch, Steps, check_between, 
 
 
 class IterativeLeastSquares(GeneratorSearch):
-    """Begins at the space's defaults and looks along every logarithmic parameter first, which may be decades off.
+    """Looks at the space's defaults and along every logarithmic parameter, which may be decades off, or, where there is
+    none, at points at random; begins at the best of these.
 
-    scan: how many points on the way along each of these; difference: step of the forward differences, in units of the
-    scaled range; tolerance: relative gain in the sum of squares below which two rounds in a row end the search.
+    scan: how many points along each of these parameters, or at random (these for a third of the budget at most);
+    difference: step of the forward differences, in units of the scaled range; tolerance: relative gain in the sum of
+    squares below which two rounds in a row end the search.
     `renew()` tells of a new measurement: what was told before no longer holds, and the search sets out from where it
     stood. The budget is that of one measurement.
     """
@@ -45,7 +47,7 @@ class IterativeLeastSquares(GeneratorSearch):
         self._next = next(self._search)
 
     def tell(self, theta: np.ndarray, evaluation: Evaluation) -> None:
-        """The walk is not told of the batch that spends the budget; the next one sets out from the best of it, too."""
+        """The next walk sets out from the best of the batch that spends the budget, too, even if it was cut."""
         asked = self._next[: len(theta)]
         super().tell(theta, evaluation)
         if self._left <= 0:

@@ -30,12 +30,14 @@ class NelderMead(GeneratorSearch):
     the best point until a restart gains less than `tolerance` of the value.
 
     start: "look" begins at the best of `starts` points spread by a Sobol sequence and the defaults, "defaults" at the
-    defaults; size: of the first simplex, in units of the scaled ranges; a restart halves it. First looks and new
-    simplices are batches, the moves between them one point each.
+    defaults; size: of the first simplex, in units of the scaled ranges; a restart halves it. A descent ends where its
+    simplex is within 1e-3 of the scaled ranges, or within a tenth of `size` where that is less. First looks and new
+    simplices are batches, without the corner at the best point, which is known; the moves between them are one point
+    each.
     """
 
     name = "nelder_mead"
-    version = 1
+    version = 2
     needs_residual = False
 
     def __init__(
@@ -58,7 +60,7 @@ class NelderMead(GeneratorSearch):
         best, lowest = points[int(np.argmin(value))], float(value.min())
         self.start, size = self.space.from_unit(best), self.size
         while True:
-            here, found = yield from self._descend(best, size)
+            here, found = yield from self._descend(best, lowest, size)
             if not np.isfinite(min(found, lowest)):  # all of it was lost: a smaller simplex would be, too
                 best, lowest = yield from self._elsewhere()
                 self.start = self.space.from_unit(best)
@@ -76,12 +78,14 @@ class NelderMead(GeneratorSearch):
             if np.isfinite(value).any():
                 return points[int(np.argmin(value))], float(value.min())
 
-    def _descend(self, here: np.ndarray, size: float) -> Walk:
+    def _descend(self, here: np.ndarray, value: float, size: float) -> Walk:
+        """From a point of known value (infinite: it was lost)."""
         from scipy.optimize import minimize
 
         simplex = simplex_about(here, size)
-        told = worst_last((yield simplex).value)
-        options = {"initial_simplex": simplex, "adaptive": True, "xatol": 1e-3, "fatol": np.inf, "maxfev": 10**6}
+        told = [value, *worst_last((yield simplex[1:]).value)]
+        near = min(1e-3, self.size / 10)
+        options = {"initial_simplex": simplex, "adaptive": True, "xatol": near, "fatol": np.inf, "maxfev": 10**6}
 
         def search(value_of: Callable[[np.ndarray], float]) -> Any:
             bounds = [(0.0, 1.0)] * len(here)

@@ -14,8 +14,10 @@ Steps = Generator[np.ndarray, Evaluation, str]
 class GeneratorSearch:
     """An optimizer whose `steps()` yields batches in the unit cube (B, P) and returns why it stopped.
 
-    Never asks for more than `budget` evaluations: a batch that would exceed it is cut. `start` (P,), in the parameters'
-    units, is where the walk set out from once the look around was over (None until then, or if there is none).
+    Never asks for more than `budget` evaluations: a batch that would exceed it is cut, and `steps()` is not told of it.
+    Of a whole batch that spends the budget it is told, as it may have come to its end with it. `start` (P,), in the
+    parameters' units, is where the walk set out from once the look around was over (None until then, or if there is
+    none).
     """
 
     start: np.ndarray | None = None
@@ -38,9 +40,11 @@ class GeneratorSearch:
         return self.space.from_unit(self._next[: self._left])
 
     def tell(self, theta: np.ndarray, evaluation: Evaluation) -> None:
+        cut = self._left < len(self._next)
         self._left -= len(theta)
         if self._left <= 0:
             self.done, self.stopped = True, "budget spent"
+        if cut:
             return
         try:
             self._next = self._search.send(evaluation)
