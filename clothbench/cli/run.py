@@ -264,13 +264,18 @@ def sweep_so_far() -> Sweep:
     return Sweep(int(os.environ[JOBS]))
 
 
+def job_number() -> int | None:
+    """Which job of a sweep this is, counted from 0 as the sweep goes on, whatever launched it; None outside of one."""
+    asked = HydraConfig.get()
+    return int(asked.job.num) if asked.mode == RunMode.MULTIRUN else None
+
+
 def sweep_now() -> Sweep | None:
     """The sweep, with the job that begins now; None where there is none."""
-    asked = HydraConfig.get()
-    if asked.mode != RunMode.MULTIRUN:
+    if (number := job_number()) is None:
         return None
     sweep = sweep_so_far()
-    sweep.passed = asked.job.num + 1
+    sweep.passed = number + 1
     return sweep
 
 
@@ -295,7 +300,9 @@ def settings_of(jobs: Sequence[Sequence[str]], where: Sequence[str] = ()) -> lis
 
 
 def job(config: Any) -> None:
-    """One Hydra job. Leaves a note of its cells; a user's error is noted too, so that any launcher can carry it."""
+    """One Hydra job. Leaves a note of its cells; a user's error is noted too, so that any launcher can carry it. Notes
+    are read in the order of the jobs, which their names have.
+    """
     try:
         settings = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
         words = leaves(HydraConfig.get().overrides.task)
@@ -306,7 +313,7 @@ def job(config: Any) -> None:
         note = {"error": _one_line(fault)}
     folder = Path(os.environ[NOTES])
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / f"{uuid.uuid4().hex}.json").write_text(json.dumps(note))
+    (folder / f"{job_number() or 0:06d}-{uuid.uuid4().hex}.json").write_text(json.dumps(note))
 
 
 def _run(config: Any, sweep: Sweep | None, words: Sequence[str] = ()) -> dict[str, Any]:

@@ -15,6 +15,8 @@ import numpy as np
 import pytest
 import yaml
 from conftest import swinging_recording
+from hydra.types import RunMode
+from omegaconf import OmegaConf
 from rich.console import Console
 
 from clothbench import ClothbenchError, PointCloud, write_points, write_recording
@@ -23,8 +25,10 @@ from clothbench.cli.idle import say_alone, say_idle
 from clothbench.cli.improve import SHOWN
 from clothbench.cli.own_suites import require_harmless
 from clothbench.cli.run import (
+    _conclude,
     composed,
     either_way,
+    job,
     jobs_of,
     require_known,
     require_sound,
@@ -350,6 +354,37 @@ def test_a_job_that_is_refused_does_not_hide_the_others_of_its_sweep(clothbench,
     assert "setting 'suite.select' ['zzz'] matches none of" in out.stderr.splitlines()[-1]
     assert out.stdout.count("error, 95 % interval") == 1
     assert {r["seed"] for r in json.loads(clothbench("leaderboard", "--json").stdout)} == {1, 2}
+
+
+def test_what_a_sweep_says_is_in_the_order_of_its_jobs(tmp_path, monkeypatch):
+    """Whichever of them end first, and whatever launched them; of several refused jobs the first one is told."""
+    monkeypatch.setenv("CLOTHBENCH_RUN_NOTES", str(tmp_path))
+    monkeypatch.setenv("CLOTHBENCH_RUN_JOBS", "6")
+    told, shown = list[int](), list[list[str]]()
+    mode = RunMode.MULTIRUN
+
+    def now():
+        about = SimpleNamespace(num=told[-1]) if mode == RunMode.MULTIRUN else SimpleNamespace()
+        return SimpleNamespace(mode=mode, job=about, overrides=SimpleNamespace(task=[]))
+
+    def refused(*_):
+        if told[-1] in (2, 11):
+            raise ClothbenchError(f"job {told[-1]}")
+        return {"out": str(tmp_path), "cells": [f"{told[-1]:016d}"]}
+
+    monkeypatch.setattr("clothbench.cli.run.HydraConfig", SimpleNamespace(get=now))
+    monkeypatch.setattr("clothbench.cli.run._run", refused)
+    monkeypatch.setattr("clothbench.cli.run.print_results", lambda store, keys: shown.append(keys) or [])
+    monkeypatch.setattr("clothbench.cli.run._say_where", lambda store, keys: None)
+    for number in (11, 3, 0, 10, 2, 1):
+        told.append(number)
+        job(OmegaConf.create({}))
+    with pytest.raises(ClothbenchError, match=r"^job 2 \(and 1 more jobs\)$"):
+        _conclude(tmp_path, sweep=True)
+    assert [int(key) for key in shown[0]] == [0, 1, 3, 10]
+    mode = RunMode.RUN  # where Hydra knows no number of a job
+    job(OmegaConf.create({}))
+    assert len(list(tmp_path.iterdir())) == 7
 
 
 @pytest.mark.parametrize(
