@@ -49,6 +49,7 @@ from clothbench.engine.pool import failed, run_cells
 from clothbench.engine.progress import CellBar, Sweep, counting
 from clothbench.engine.settings import KNOWN, checked, flat, last_word
 from clothbench.engine.store import Store
+from clothbench.engine.study import refuse_unsound
 from clothbench.engine.suite import plan, suites_folder
 from clothbench.plugins.discovery import PluginBroken, catalogue, config_groups
 
@@ -255,7 +256,7 @@ def require_sound(words: Sequence[str]) -> None:
         out = tempfile.gettempdir() if is_address(config.get("out")) else config.get("out")
         with suppress(PluginBroken):  # its own cells say so
             study = catalogue().load("studies", str(config.get("study")))
-            checked({**config, "out": out}, catalogue(), study.suite_words)
+            refuse_unsound(study, checked({**config, "out": out}, catalogue(), study.suite_words))
 
 
 @cache

@@ -23,7 +23,7 @@ from clothbench import ClothbenchError, PointCloud, write_points, write_recordin
 from clothbench.cli.commands import COMMANDS, main, parsed, print_json_rows
 from clothbench.cli.idle import say_alone, say_idle
 from clothbench.cli.improve import SHOWN
-from clothbench.cli.own_suites import require_harmless
+from clothbench.cli.own_suites import each_choice, require_harmless
 from clothbench.cli.run import (
     _conclude,
     composed,
@@ -495,6 +495,32 @@ def test_a_wrong_value_in_a_sweep_is_refused_before_its_first_job(clothbench, re
     assert out.returncode == 2, out.stderr
     assert found in only_line(out.stderr)
     assert [p.name for p in tmp_path.iterdir()] == ["recordings"]
+
+
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [
+        (["choice=nearest,bogus"], "setting 'choice' is 'bogus', expected one of nearest, knee"),
+        (["prior=denim,demin"], "no preset 'demin'"),
+        (["suite.case=all,fabrik"], "setting 'suite.case' is 'fabrik', expected one of fabric, "),
+        (["analysis.morris.trajectories=4,0"], "setting 'analysis.morris.trajectories' is 0, expected a whole number"),
+        (["suite.fixed.k2=2,null"], "setting 'suite.fixed.k2' is None, expected a number"),
+        (["optimizer=ga,null"], "setting 'optimizer' is empty"),
+        (["study=improve", "metric=null", "suite.case=fabric,all"], "setting 'suite.case' is 'all', expected fabric"),
+        (["study=improve", "metric=null", "suite.resolution=9,2"], "setting 'resolution' is 2, expected a whole"),
+        (["+suite=physical_validation", "suite.tests=cantilever,cantilevver"], "cantilevver"),
+        (["+suite=fold_over", "suite.path.lift=0.01,-1"], "setting 'suite.path.lift' is -1"),
+        (["+suite=fold_phase_one", "suite.fold.fit=[eta_b],[]"], "setting 'suite.fold.fit' is empty"),
+        (["+suite=speed", "suite.sides=[9],[]"], "setting 'suite.sides' is empty"),
+    ],
+)
+def test_what_a_study_can_take_for_no_setting_of_its_own_is_refused_before_a_sweep(words, found):
+    given = [] if words[0].startswith("+suite") else ["recording=none.nc", *CELL[:3]]
+    keys = [word.partition("=")[0] for word in words]
+    words = either_way([*(word for word in given if word.partition("=")[0] not in keys), *words])
+    require_sound(["-m", *next(each_choice(words)), "jobs=1,2"])
+    with pytest.raises(ClothbenchError, match=re.escape(found)):
+        require_sound(["-m", *words])
 
 
 def test_settings_of_a_sweep_over_suites_of_ones_own_are_looked_at(tmp_path):
