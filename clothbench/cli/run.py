@@ -35,7 +35,7 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from clothbench.cli.idle import refuse_idle, say_alone, say_idle, say_split
-from clothbench.cli.own_suites import each_choice, require_harmless, settings_among, where_searched
+from clothbench.cli.own_suites import QUOTES, each_choice, require_harmless, settings_among, values_of, where_searched
 from clothbench.cli.results import print_results
 from clothbench.cli.settings_help import settings_help
 from clothbench.cli.spelling import as_setting, given_twice
@@ -60,6 +60,11 @@ RECORDINGS = ("suite=", "recording=", "recordings=")  # how a command line names
 # A setting below one that holds any number of them. Hydra would take it only with a sign that says whether the suite
 # has it; what is not known is refused once all is put together.
 OPEN = re.compile(r"(options|bounds|finer|scene|analysis|suite|limits)\.[^=]*=|(options|bounds|finer|analysis)=\{")
+# Settings of which nothing is none. Hydra adds a mapping to what the suite has, to which an empty one adds nothing.
+EMPTIED = re.compile(
+    r"\+{0,2}(analysis|bounds|finer|options(\.[^.=]+)?|scene|suite\.(fixed|budgets|effects|textile|published))=.*\{\s*\}"
+)
+NOTHING = re.compile(r"\{\s*\}")
 KINDS = {
     "study": "studies", "model": "models", "optimizer": "optimizers", "metric": "metrics", "report": "metrics",
     "effects": "effects", "tracker": "trackers",
@@ -70,6 +75,7 @@ TOGETHER = (
 )
 PATHS = re.compile(r"\+{0,2}(recording|recordings|out|data_dir)=")
 TRIED = 100  # jobs of a sweep whose settings are put together before the first begins, at a tenth of a second each
+ELSEWHERE = ("builtin:", "dataset:", "pkg://", "s3://")  # how what is no path of this machine begins
 NOT_READ = object()
 # What commas part: each in quotes, or with commas of its own in brackets.
 PARTS = re.compile(r"""\s*'(?:[^'\\]|\\.)*'\s*(?=,|$)|\s*"(?:[^"\\]|\\.)*"\s*(?=,|$)|(?:\[[^\]]*\]|[^,\[]|\[)+""")
@@ -105,7 +111,7 @@ def run(arguments: Sequence[str]) -> int:
     os.environ.update({NOTES: str(notes), "HYDRA_FULL_ERROR": "1"})
     os.environ.setdefault("CLOTHBENCH_SWEEP_DIR", str(notes / "sweep"))
     words = settings_among(arguments)  # first: Hydra takes no settings on both sides of a flag
-    arguments = either_way([*words, *(word for word in arguments if word not in words)])
+    arguments = either_way([*words, *(word for word in arguments if word not in words)], sweep)
     os.environ[JOBS] = str(jobs_of(arguments) if sweep else 0)
     sweep_so_far.cache_clear()
     sys.argv = ["clothbench run", *arguments]
@@ -160,20 +166,33 @@ def _of_a_job(fault: Exception) -> bool:
     return any(frame.f_code is job.__code__ for frame, _ in traceback.walk_tb(fault.__traceback__))
 
 
-def either_way(words: Sequence[str]) -> list[str]:
+def either_way(words: Sequence[str], sweep: bool = False) -> list[str]:
     """Hydra's words: those of `OPEN` set whether a suite has them or not, a suite chosen with a sign or without, and
-    paths quoted that are no words of Hydra's grammar.
+    paths quoted that are no words of Hydra's grammar. sweep: whether commas may part the values of several jobs.
     """
     signs = ("++" if OPEN.match(word) else "+" if word.startswith("suite=") else "" for word in words)
-    return [sign + _quoted(word) for sign, word in zip(signs, words, strict=True)]
+    return [sign + _quoted(_emptied(word), sweep) for sign, word in zip(signs, words, strict=True)]
 
 
-def _quoted(word: str) -> str:
+def _emptied(word: str) -> str:
+    """KEY={} of `EMPTIED` as KEY=null, which takes out what the suite has, also as one value of a sweep."""
+    if not EMPTIED.match(word):
+        return word
+    values = [value.partition("=")[2] for value in values_of(word)]
+    return f"{word.partition('=')[0]}={','.join('null' if NOTHING.fullmatch(value) else value for value in values)}"
+
+
+def _quoted(word: str, sweep: bool) -> str:
     """KEY=PATH as Hydra reads it: what is no word of its grammar, or a number or truth to it, in quotes, also in a list
-    or a sweep of several.
+    or a sweep of several; and a path with commas in it.
     """
     key, sign, value = word.partition("=")
-    if not PATHS.match(word) or all(map(_is_text, _read(word))):
+    if not PATHS.match(word):
+        return word
+    texts = list(map(_is_text, read := _read(word)))
+    if not (all(texts) and len(read) == 1) and _is_one(key.lstrip("+"), value, sweep):
+        return key + sign + _in_quotes(value)
+    if all(texts):
         return word
     return key + sign + ",".join(_quoted_list(part.strip()) for part in PARTS.findall(value))
 
@@ -187,7 +206,28 @@ def _quoted_list(text: str) -> str:
 def _quoted_path(path: str) -> str:
     if all(map(_is_text, _read(f"out={path}"))):
         return path
+    return _in_quotes(path)
+
+
+def _in_quotes(path: str) -> str:
     return f'"{path}"' if "'" in path and '"' not in path else "'" + path.replace("'", "\\'") + "'"
+
+
+def _is_one(key: str, value: str, sweep: bool) -> bool:
+    """Whether a value with commas that no brackets or quotes hold together is one path: it is there (results: the
+    folder that they would go to), and not all of its parts are; without a sweep also where nothing is there, and
+    results in any case.
+    """
+    parts = [part.strip() for part in PARTS.findall(value)]
+    if len(parts) < 2 or any(part[0] in QUOTES or part[0] + part[-1] == "[]" for part in parts if part):
+        return False
+
+    def there(path: str) -> bool:
+        return path.startswith(ELSEWHERE) or os.path.exists(os.path.dirname(path) or "." if key == "out" else path)
+
+    if key == "out":
+        return not sweep or (there(value) and not all(map(there, parts)))
+    return there(value) or not (sweep or all(map(there, parts)))
 
 
 def _read(word: str) -> Sequence[Any]:

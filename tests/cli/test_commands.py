@@ -469,8 +469,54 @@ def test_paths_are_no_words_of_a_grammar(word, value):
     ],
 )
 def test_a_sweep_goes_over_what_hydra_makes_of_it(words, key, values):
-    assert swept(either_way(words)) == [(key, values)]
-    assert jobs_of(either_way(words)) == 2
+    assert swept(either_way(words, sweep=True)) == [(key, values)]
+    assert jobs_of(either_way(words, sweep=True)) == 2
+
+
+def test_a_path_with_commas_is_one_path_unless_its_parts_are_meant(tmp_path, monkeypatch):
+    """Without a sweep results go where they are said to; with one, commas part what is not there as a whole."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("my rec, a=b é", "here, there", "x", "y"):
+        (tmp_path / name).mkdir()
+    for sweep in (False, True):
+        (word,) = either_way([f"recordings={tmp_path}/my rec, a=b é"], sweep)
+        assert composed([word])["recordings"] == f"{tmp_path}/my rec, a=b é"
+        (word,) = either_way(["out=here, there/runs"], sweep)
+        assert composed([word])["out"] == "here, there/runs"
+    for word in ("out=x/a,y/b", "out=a=b, c é", "recording=a,b.nc", "recordings=a b,c", "recording=a\\,b"):
+        key, _, path = word.partition("=")
+        assert composed([word])[key] == path.replace("\\", "")
+    with pytest.raises(ClothbenchError, match="Ambiguous value"):  # which says how several are written
+        composed(["recordings=x,y"])
+    for word in ("out=x/a,y/b", "out=a,b", "recording=a,b.nc", "recordings=x,builtin:shake", "recordings=choice(x,y)"):
+        assert jobs_of(either_way([word], sweep=True)) == 2
+    with pytest.raises(ClothbenchError, match="requires --multirun"):
+        composed(["recordings=choice(x,y)"])
+
+
+@pytest.mark.parametrize(
+    "word", ["analysis={}", "suite.fixed={}", "suite.budgets={}", "options={}", "options.annealing={ }", "scene={}"]
+)
+def test_an_empty_mapping_takes_out_what_the_suite_has(word):
+    """To Hydra it adds nothing to what is there."""
+
+    def found(*words):
+        out = composed(["suite=static_dynamic", *words])
+        for key in word.partition("=")[0].split("."):
+            out = out[key]
+        return out
+
+    assert found()
+    assert not found(word)
+    key = word.partition("=")[0]
+    assert found(word, f"{key}.k1=1") == {"k1": 1}
+    assert swept(either_way([f"{key}={{k1:1}},{{}}"], sweep=True)) == [(key, ["{k1:1}", "null"])]
+
+
+def test_settings_that_are_not_there_may_be_empty():
+    assert either_way(["bounds={}", "+finer={}", "analysis={morris:{}}", "analysis.morris={}"]) == [
+        "++bounds=null", "+finer=null", "++analysis={morris:{}}", "++analysis.morris={}",
+    ]  # fmt: skip
 
 
 def test_a_folder_of_suites_hides_no_unknown_plugin():
