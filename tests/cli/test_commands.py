@@ -575,7 +575,7 @@ def test_settings_of_a_sweep_over_suites_of_ones_own_are_looked_at(tmp_path):
         (tmp_path / "suite" / f"{name}.yaml").write_text(
             f"# @package _global_\nsuite: {{name: {name}}}\nseed: {seed}\n"
         )
-    words = ["-m", "--config-dir", str(tmp_path)]
+    words = ["-m", "--config-dir", str(tmp_path), *CELL[:3]]
     require_sound([*words, "+suite=good,static_dynamic", "out=s3://bucket/of/results", "hydra/launcher=basic"])
     with pytest.raises(ClothbenchError, match="setting 'seed' is -3"):
         require_sound([*words, "+suite=good,bad"])
