@@ -42,7 +42,7 @@ def require_harmless(arguments: Sequence[str]) -> None:
         if whole := _cut_short(word.partition("=")[0]):
             raise ClothbenchError(f"found {word!r}, which would be taken for {whole}; write that flag in full")
     for word in settings_among(arguments):
-        _values(word)
+        values_of(word)
     for folder in _folders(arguments):
         if not folder.is_dir():
             raise ClothbenchError(f"{folder}: no such folder; --config-dir names one with suite/NAME.yaml in it")
@@ -81,7 +81,7 @@ def require_all_plain(folder: Path, arguments: Sequence[str]) -> None:
 def _asked_for(folder: Path, arguments: Sequence[str]) -> Iterator[Path]:
     """The files GROUP/NAME.yaml of a folder that settings GROUP=NAME choose."""
     for word in settings_among(arguments):
-        for one in _values(word):
+        for one in values_of(word):
             group, _, names = one.lstrip("+").partition("=")
             for name in names.strip("[]").split(","):
                 file = folder / group.partition("@")[0] / f"{name.strip().strip(QUOTES)}.yaml"
@@ -136,7 +136,7 @@ def _size(node: yaml.Node, known: dict[int, int]) -> int:
 def each_choice(arguments: Sequence[str]) -> Iterator[list[str]]:
     """The settings of the run without Hydra's own, as one job has them: of a sweep, once with every value."""
     words = [word for word in settings_among(arguments) if not word.lstrip("+~").startswith("hydra")]
-    values = [_values(word) for word in words]
+    values = [values_of(word) for word in words]
     for n in range(max(map(len, values), default=1)):
         yield [several[min(n, len(several) - 1)] for several in values]
 
@@ -162,7 +162,7 @@ def settings_among(arguments: Sequence[str]) -> list[str]:
     return [word for word in words if "=" in word or word.startswith("~")]
 
 
-def _values(word: str) -> list[str]:
+def values_of(word: str) -> list[str]:
     """A setting once with each of its values, where it is one of a sweep."""
     try:
         (given,) = OverridesParser.create().parse_overrides([word])

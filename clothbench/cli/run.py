@@ -35,7 +35,7 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from clothbench.cli.idle import refuse_idle, say_alone, say_idle, say_split
-from clothbench.cli.own_suites import each_choice, require_harmless, settings_among, where_searched
+from clothbench.cli.own_suites import QUOTES, each_choice, require_harmless, settings_among, values_of, where_searched
 from clothbench.cli.results import print_results
 from clothbench.cli.settings_help import settings_help
 from clothbench.cli.spelling import as_setting, given_twice
@@ -49,6 +49,7 @@ from clothbench.engine.pool import failed, run_cells
 from clothbench.engine.progress import CellBar, Sweep, counting
 from clothbench.engine.settings import KNOWN, checked, flat, last_word
 from clothbench.engine.store import Store
+from clothbench.engine.study import refuse_unsound
 from clothbench.engine.suite import plan, suites_folder
 from clothbench.plugins.discovery import PluginBroken, catalogue, config_groups
 
@@ -59,6 +60,11 @@ RECORDINGS = ("suite=", "recording=", "recordings=")  # how a command line names
 # A setting below one that holds any number of them. Hydra would take it only with a sign that says whether the suite
 # has it; what is not known is refused once all is put together.
 OPEN = re.compile(r"(options|bounds|finer|scene|analysis|suite|limits)\.[^=]*=|(options|bounds|finer|analysis)=\{")
+# Settings of which nothing is none. Hydra adds a mapping to what the suite has, to which an empty one adds nothing.
+EMPTIED = re.compile(
+    r"\+{0,2}(analysis|bounds|finer|options(\.[^.=]+)?|scene|suite\.(fixed|budgets|effects|textile|published))=.*\{\s*\}"
+)
+NOTHING = re.compile(r"\{\s*\}")
 KINDS = {
     "study": "studies", "model": "models", "optimizer": "optimizers", "metric": "metrics", "report": "metrics",
     "effects": "effects", "tracker": "trackers",
@@ -69,6 +75,7 @@ TOGETHER = (
 )
 PATHS = re.compile(r"\+{0,2}(recording|recordings|out|data_dir)=")
 TRIED = 100  # jobs of a sweep whose settings are put together before the first begins, at a tenth of a second each
+ELSEWHERE = ("builtin:", "dataset:", "pkg://", "s3://")  # how what is no path of this machine begins
 NOT_READ = object()
 # What commas part: each in quotes, or with commas of its own in brackets.
 PARTS = re.compile(r"""\s*'(?:[^'\\]|\\.)*'\s*(?=,|$)|\s*"(?:[^"\\]|\\.)*"\s*(?=,|$)|(?:\[[^\]]*\]|[^,\[]|\[)+""")
@@ -104,7 +111,7 @@ def run(arguments: Sequence[str]) -> int:
     os.environ.update({NOTES: str(notes), "HYDRA_FULL_ERROR": "1"})
     os.environ.setdefault("CLOTHBENCH_SWEEP_DIR", str(notes / "sweep"))
     words = settings_among(arguments)  # first: Hydra takes no settings on both sides of a flag
-    arguments = either_way([*words, *(word for word in arguments if word not in words)])
+    arguments = either_way([*words, *(word for word in arguments if word not in words)], sweep)
     os.environ[JOBS] = str(jobs_of(arguments) if sweep else 0)
     sweep_so_far.cache_clear()
     sys.argv = ["clothbench run", *arguments]
@@ -159,20 +166,33 @@ def _of_a_job(fault: Exception) -> bool:
     return any(frame.f_code is job.__code__ for frame, _ in traceback.walk_tb(fault.__traceback__))
 
 
-def either_way(words: Sequence[str]) -> list[str]:
+def either_way(words: Sequence[str], sweep: bool = False) -> list[str]:
     """Hydra's words: those of `OPEN` set whether a suite has them or not, a suite chosen with a sign or without, and
-    paths quoted that are no words of Hydra's grammar.
+    paths quoted that are no words of Hydra's grammar. sweep: whether commas may part the values of several jobs.
     """
     signs = ("++" if OPEN.match(word) else "+" if word.startswith("suite=") else "" for word in words)
-    return [sign + _quoted(word) for sign, word in zip(signs, words, strict=True)]
+    return [sign + _quoted(_emptied(word), sweep) for sign, word in zip(signs, words, strict=True)]
 
 
-def _quoted(word: str) -> str:
+def _emptied(word: str) -> str:
+    """KEY={} of `EMPTIED` as KEY=null, which takes out what the suite has, also as one value of a sweep."""
+    if not EMPTIED.match(word):
+        return word
+    values = [value.partition("=")[2] for value in values_of(word)]
+    return f"{word.partition('=')[0]}={','.join('null' if NOTHING.fullmatch(value) else value for value in values)}"
+
+
+def _quoted(word: str, sweep: bool) -> str:
     """KEY=PATH as Hydra reads it: what is no word of its grammar, or a number or truth to it, in quotes, also in a list
-    or a sweep of several.
+    or a sweep of several; and a path with commas in it.
     """
     key, sign, value = word.partition("=")
-    if not PATHS.match(word) or all(map(_is_text, _read(word))):
+    if not PATHS.match(word):
+        return word
+    texts = list(map(_is_text, read := _read(word)))
+    if not (all(texts) and len(read) == 1) and _is_one(key.lstrip("+"), value, sweep):
+        return key + sign + _in_quotes(value)
+    if all(texts):
         return word
     return key + sign + ",".join(_quoted_list(part.strip()) for part in PARTS.findall(value))
 
@@ -186,7 +206,28 @@ def _quoted_list(text: str) -> str:
 def _quoted_path(path: str) -> str:
     if all(map(_is_text, _read(f"out={path}"))):
         return path
+    return _in_quotes(path)
+
+
+def _in_quotes(path: str) -> str:
     return f'"{path}"' if "'" in path and '"' not in path else "'" + path.replace("'", "\\'") + "'"
+
+
+def _is_one(key: str, value: str, sweep: bool) -> bool:
+    """Whether a value with commas that no brackets or quotes hold together is one path: it is there (results: the
+    folder that they would go to), and not all of its parts are; without a sweep also where nothing is there, and
+    results in any case.
+    """
+    parts = [part.strip() for part in PARTS.findall(value)]
+    if len(parts) < 2 or any(part[0] in QUOTES or part[0] + part[-1] == "[]" for part in parts if part):
+        return False
+
+    def there(path: str) -> bool:
+        return path.startswith(ELSEWHERE) or os.path.exists(os.path.dirname(path) or "." if key == "out" else path)
+
+    if key == "out":
+        return not sweep or (there(value) and not all(map(there, parts)))
+    return there(value) or not (sweep or all(map(there, parts)))
 
 
 def _read(word: str) -> Sequence[Any]:
@@ -255,7 +296,7 @@ def require_sound(words: Sequence[str]) -> None:
         out = tempfile.gettempdir() if is_address(config.get("out")) else config.get("out")
         with suppress(PluginBroken):  # its own cells say so
             study = catalogue().load("studies", str(config.get("study")))
-            checked({**config, "out": out}, catalogue(), study.suite_words)
+            refuse_unsound(study, checked({**config, "out": out}, catalogue(), study.suite_words))
 
 
 @cache
@@ -264,13 +305,18 @@ def sweep_so_far() -> Sweep:
     return Sweep(int(os.environ[JOBS]))
 
 
+def job_number() -> int | None:
+    """Which job of a sweep this is, counted from 0 as the sweep goes on, whatever launched it; None outside of one."""
+    asked = HydraConfig.get()
+    return int(asked.job.num) if asked.mode == RunMode.MULTIRUN else None
+
+
 def sweep_now() -> Sweep | None:
     """The sweep, with the job that begins now; None where there is none."""
-    asked = HydraConfig.get()
-    if asked.mode != RunMode.MULTIRUN:
+    if (number := job_number()) is None:
         return None
     sweep = sweep_so_far()
-    sweep.passed = asked.job.num + 1
+    sweep.passed = number + 1
     return sweep
 
 
@@ -295,7 +341,9 @@ def settings_of(jobs: Sequence[Sequence[str]], where: Sequence[str] = ()) -> lis
 
 
 def job(config: Any) -> None:
-    """One Hydra job. Leaves a note of its cells; a user's error is noted too, so that any launcher can carry it."""
+    """One Hydra job. Leaves a note of its cells; a user's error is noted too, so that any launcher can carry it. Notes
+    are read in the order of the jobs, which their names have.
+    """
     try:
         settings = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
         words = leaves(HydraConfig.get().overrides.task)
@@ -306,7 +354,7 @@ def job(config: Any) -> None:
         note = {"error": _one_line(fault)}
     folder = Path(os.environ[NOTES])
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / f"{uuid.uuid4().hex}.json").write_text(json.dumps(note))
+    (folder / f"{job_number() or 0:06d}-{uuid.uuid4().hex}.json").write_text(json.dumps(note))
 
 
 def _run(config: Any, sweep: Sweep | None, words: Sequence[str] = ()) -> dict[str, Any]:

@@ -195,8 +195,8 @@ def names_in(out: Path) -> list[str]:
     return list(dict.fromkeys([*sorted({r["case"] for r in rows}), *(name for _, name in recordings)]))
 
 
-def _listed(names: list[str]) -> str:
-    return ", ".join(names[:12]) + (f" and {len(names) - 12} more" if len(names) > 12 else "")
+def _listed(names: list[str], most: int = 12) -> str:
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
 def best_cell_of(out: Path, name: str, viewed: bool = True) -> str | None:
@@ -206,7 +206,7 @@ def best_cell_of(out: Path, name: str, viewed: bool = True) -> str | None:
     found = cells_of(fit_rows(out), name)
     if len(found) > 1:
         key, row = next(iter(found.items()))
-        said = f"cell {key[:8]} ({_about(row)}); further: {', '.join(k[:8] for k in list(found)[1:9])}"
+        said = f"cell {key[:8]} ({_about(row)}); further: {_listed([k[:8] for k in list(found)[1:]], 8)}"
         print(f"view:   {said}" if viewed else f"clothbench: {name}: {said}", file=sys.stdout if viewed else sys.stderr)
     return next(iter(found), None)
 

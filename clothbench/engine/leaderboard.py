@@ -45,10 +45,13 @@ def finished(rows: Sequence[Mapping[str, Any]]) -> bool:
     return len(rows) > 0 and all(row["status"] in FINISHED for row in rows)
 
 
-def row_order(row: dict[str, Any]) -> tuple[str, ...]:
-    """Sort key: suite, case, model …; within a cell the fit before the held-out split, totals after recordings."""
+def row_order(row: dict[str, Any]) -> tuple[Any, ...]:
+    """Sort key: suite, case, model …; within a cell the fit before the held-out split, totals after recordings. Cells
+    that are called the same come by their seed, then by their key.
+    """
     names = ("suite", "case", "model", "effects", "optimizer", "metric", "split")
-    return (*(row[n] or "" for n in names), "0" if row["recording"] else "1", row["recording"] or "")
+    place = (*(row[n] or "" for n in names), "0" if row["recording"] else "1", row["recording"] or "")
+    return (*place, -1 if row["seed"] is None else row["seed"], row["key"] or "")
 
 
 def leaderboard_row(row: dict[str, Any]) -> dict[str, Any]:

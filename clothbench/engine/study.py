@@ -133,7 +133,8 @@ class Study(Protocol):
 
     name: as settings and rows have it; against: what its models are held against, in a word for the page's heading;
     suite_words: what it knows under `suite` beside the words that all know; tables: columns of every table that it
-    fills, but for "rows".
+    fills, but for "rows". Optional: `check(settings)`, which refuses what can be no setting of it whatever it is run
+    on; `plan` begins with it, and a sweep asks it of the settings of all jobs before the first begins.
     """
 
     name: str
@@ -162,6 +163,11 @@ class Study(Protocol):
     def claims(self, row: Mapping[str, Any], tables: frozenset[str]) -> bool:
         """Whether a row is its own that was written before rows carried their study; tables: those of its cell."""
         ...
+
+
+def refuse_unsound(study: Study, settings: dict[str, Any]) -> None:
+    """Have a study refuse what it can of checked settings without its recordings, where it has a `check`."""
+    getattr(study, "check", lambda settings: None)(settings)
 
 
 def studies(plugins: Catalogue) -> dict[str, Study]:

@@ -82,10 +82,15 @@ def over(trials: Sequence[Trial], work: Callable[[Trial], Any]) -> list[Any]:
 
 
 def score_of(trial: Trial, metric: Metric, rollout: Rollout) -> Score:
-    """The metric on this trial; a member that did not run to its end has no value, residual or objectives, whatever
+    """The metric on this trial, made sure."""
+    return made_sure(metric(trial.observation, rollout), metric, rollout)
+
+
+def made_sure(given: Score, metric: Metric, rollout: Rollout) -> Score:
+    """What a metric gave, checked; a member that did not run to its end has no value, residual or objectives, whatever
     positions it left: a search by any of them would else take it for a good one.
     """
-    score = _checked(metric(trial.observation, rollout), metric, len(rollout.status))
+    score = _checked(given, metric, len(rollout.status))
     ok = np.array([status == "ok" for status in rollout.status])
     if ok.all():
         return score

@@ -15,16 +15,20 @@ import numpy as np
 import pytest
 import yaml
 from conftest import swinging_recording
+from hydra.types import RunMode
+from omegaconf import OmegaConf
 from rich.console import Console
 
 from clothbench import ClothbenchError, PointCloud, write_points, write_recording
 from clothbench.cli.commands import COMMANDS, main, parsed, print_json_rows
 from clothbench.cli.idle import say_alone, say_idle
 from clothbench.cli.improve import SHOWN
-from clothbench.cli.own_suites import require_harmless
+from clothbench.cli.own_suites import each_choice, require_harmless
 from clothbench.cli.run import (
+    _conclude,
     composed,
     either_way,
+    job,
     jobs_of,
     require_known,
     require_sound,
@@ -352,6 +356,37 @@ def test_a_job_that_is_refused_does_not_hide_the_others_of_its_sweep(clothbench,
     assert {r["seed"] for r in json.loads(clothbench("leaderboard", "--json").stdout)} == {1, 2}
 
 
+def test_what_a_sweep_says_is_in_the_order_of_its_jobs(tmp_path, monkeypatch):
+    """Whichever of them end first, and whatever launched them; of several refused jobs the first one is told."""
+    monkeypatch.setenv("CLOTHBENCH_RUN_NOTES", str(tmp_path))
+    monkeypatch.setenv("CLOTHBENCH_RUN_JOBS", "6")
+    told, shown = list[int](), list[list[str]]()
+    mode = RunMode.MULTIRUN
+
+    def now():
+        about = SimpleNamespace(num=told[-1]) if mode == RunMode.MULTIRUN else SimpleNamespace()
+        return SimpleNamespace(mode=mode, job=about, overrides=SimpleNamespace(task=[]))
+
+    def refused(*_):
+        if told[-1] in (2, 11):
+            raise ClothbenchError(f"job {told[-1]}")
+        return {"out": str(tmp_path), "cells": [f"{told[-1]:016d}"]}
+
+    monkeypatch.setattr("clothbench.cli.run.HydraConfig", SimpleNamespace(get=now))
+    monkeypatch.setattr("clothbench.cli.run._run", refused)
+    monkeypatch.setattr("clothbench.cli.run.print_results", lambda store, keys: shown.append(keys) or [])
+    monkeypatch.setattr("clothbench.cli.run._say_where", lambda store, keys: None)
+    for number in (11, 3, 0, 10, 2, 1):
+        told.append(number)
+        job(OmegaConf.create({}))
+    with pytest.raises(ClothbenchError, match=r"^job 2 \(and 1 more jobs\)$"):
+        _conclude(tmp_path, sweep=True)
+    assert [int(key) for key in shown[0]] == [0, 1, 3, 10]
+    mode = RunMode.RUN  # where Hydra knows no number of a job
+    job(OmegaConf.create({}))
+    assert len(list(tmp_path.iterdir())) == 7
+
+
 @pytest.mark.parametrize(
     ("swept", "said"),
     [("model=mass_spring,mass_sprung", "mass_sprung"), ("report=[],[node_error,node_eror]", "node_eror")],
@@ -434,8 +469,54 @@ def test_paths_are_no_words_of_a_grammar(word, value):
     ],
 )
 def test_a_sweep_goes_over_what_hydra_makes_of_it(words, key, values):
-    assert swept(either_way(words)) == [(key, values)]
-    assert jobs_of(either_way(words)) == 2
+    assert swept(either_way(words, sweep=True)) == [(key, values)]
+    assert jobs_of(either_way(words, sweep=True)) == 2
+
+
+def test_a_path_with_commas_is_one_path_unless_its_parts_are_meant(tmp_path, monkeypatch):
+    """Without a sweep results go where they are said to; with one, commas part what is not there as a whole."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("my rec, a=b é", "here, there", "x", "y"):
+        (tmp_path / name).mkdir()
+    for sweep in (False, True):
+        (word,) = either_way([f"recordings={tmp_path}/my rec, a=b é"], sweep)
+        assert composed([word])["recordings"] == f"{tmp_path}/my rec, a=b é"
+        (word,) = either_way(["out=here, there/runs"], sweep)
+        assert composed([word])["out"] == "here, there/runs"
+    for word in ("out=x/a,y/b", "out=a=b, c é", "recording=a,b.nc", "recordings=a b,c", "recording=a\\,b"):
+        key, _, path = word.partition("=")
+        assert composed([word])[key] == path.replace("\\", "")
+    with pytest.raises(ClothbenchError, match="Ambiguous value"):  # which says how several are written
+        composed(["recordings=x,y"])
+    for word in ("out=x/a,y/b", "out=a,b", "recording=a,b.nc", "recordings=x,builtin:shake", "recordings=choice(x,y)"):
+        assert jobs_of(either_way([word], sweep=True)) == 2
+    with pytest.raises(ClothbenchError, match="requires --multirun"):
+        composed(["recordings=choice(x,y)"])
+
+
+@pytest.mark.parametrize(
+    "word", ["analysis={}", "suite.fixed={}", "suite.budgets={}", "options={}", "options.annealing={ }", "scene={}"]
+)
+def test_an_empty_mapping_takes_out_what_the_suite_has(word):
+    """To Hydra it adds nothing to what is there."""
+
+    def found(*words):
+        out = composed(["suite=static_dynamic", *words])
+        for key in word.partition("=")[0].split("."):
+            out = out[key]
+        return out
+
+    assert found()
+    assert not found(word)
+    key = word.partition("=")[0]
+    assert found(word, f"{key}.k1=1") == {"k1": 1}
+    assert swept(either_way([f"{key}={{k1:1}},{{}}"], sweep=True)) == [(key, ["{k1:1}", "null"])]
+
+
+def test_settings_that_are_not_there_may_be_empty():
+    assert either_way(["bounds={}", "+finer={}", "analysis={morris:{}}", "analysis.morris={}"]) == [
+        "++bounds=null", "+finer=null", "++analysis={morris:{}}", "++analysis.morris={}",
+    ]  # fmt: skip
 
 
 def test_a_folder_of_suites_hides_no_unknown_plugin():
@@ -462,13 +543,39 @@ def test_a_wrong_value_in_a_sweep_is_refused_before_its_first_job(clothbench, re
     assert [p.name for p in tmp_path.iterdir()] == ["recordings"]
 
 
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [
+        (["choice=nearest,bogus"], "setting 'choice' is 'bogus', expected one of nearest, knee"),
+        (["prior=denim,demin"], "no preset 'demin'"),
+        (["suite.case=all,fabrik"], "setting 'suite.case' is 'fabrik', expected one of fabric, "),
+        (["analysis.morris.trajectories=4,0"], "setting 'analysis.morris.trajectories' is 0, expected a whole number"),
+        (["suite.fixed.k2=2,null"], "setting 'suite.fixed.k2' is None, expected a number"),
+        (["optimizer=ga,null"], "setting 'optimizer' is empty"),
+        (["study=improve", "metric=null", "suite.case=fabric,all"], "setting 'suite.case' is 'all', expected fabric"),
+        (["study=improve", "metric=null", "suite.resolution=9,2"], "setting 'resolution' is 2, expected a whole"),
+        (["+suite=physical_validation", "suite.tests=cantilever,cantilevver"], "cantilevver"),
+        (["+suite=fold_over", "suite.path.lift=0.01,-1"], "setting 'suite.path.lift' is -1"),
+        (["+suite=fold_phase_one", "suite.fold.fit=[eta_b],[]"], "setting 'suite.fold.fit' is empty"),
+        (["+suite=speed", "suite.sides=[9],[]"], "setting 'suite.sides' is empty"),
+    ],
+)
+def test_what_a_study_can_take_for_no_setting_of_its_own_is_refused_before_a_sweep(words, found):
+    given = [] if words[0].startswith("+suite") else ["recording=none.nc", *CELL[:3]]
+    keys = [word.partition("=")[0] for word in words]
+    words = either_way([*(word for word in given if word.partition("=")[0] not in keys), *words])
+    require_sound(["-m", *next(each_choice(words)), "jobs=1,2"])
+    with pytest.raises(ClothbenchError, match=re.escape(found)):
+        require_sound(["-m", *words])
+
+
 def test_settings_of_a_sweep_over_suites_of_ones_own_are_looked_at(tmp_path):
     (tmp_path / "suite").mkdir()
     for name, seed in (("good", 1), ("bad", -3)):
         (tmp_path / "suite" / f"{name}.yaml").write_text(
             f"# @package _global_\nsuite: {{name: {name}}}\nseed: {seed}\n"
         )
-    words = ["-m", "--config-dir", str(tmp_path)]
+    words = ["-m", "--config-dir", str(tmp_path), *CELL[:3]]
     require_sound([*words, "+suite=good,static_dynamic", "out=s3://bucket/of/results", "hydra/launcher=basic"])
     with pytest.raises(ClothbenchError, match="setting 'seed' is -3"):
         require_sound([*words, "+suite=good,bad"])

@@ -81,6 +81,22 @@ def test_a_bound_that_nothing_has_is_refused_before_anything_is_tracked(clothben
     assert not (tmp_path / "runs").exists()
 
 
+def test_a_fit_is_kept_where_a_further_metric_cannot_be_computed(clothbench):
+    """Recordings of nodes know no camera; the whole search had been thrown away for the suite's other metric."""
+    out = clothbench(
+        "run", "+suite=shake_alpha", "recordings=builtin:shake_nodes", "tracker=markers", "optimizer=[nelder_mead]",
+        "suite.select=[damped/*]", "budget=2",
+    )  # fmt: skip
+    assert out.returncode == 0, out.stderr
+    assert "the recording does not say where it stood" in out.stdout
+    rows = json.loads(clothbench("leaderboard", "--json").stdout)
+    known = {(row["metric"], row["status"], row["value"] is not None) for row in rows}
+    assert known == {
+        ("relative_error", "ok", True), ("relative_error_from_camera", "skipped", False), ("node_error", "ok", True)
+    }  # fmt: skip
+    assert all(row["floor"] is row["low"] is None for row in rows if row["status"] == "skipped")
+
+
 def test_a_model_that_starts_from_rest_only_is_skipped_with_the_reason(clothbench):
     out = clothbench(
         "run", "+suite=shake_alpha", "recordings=builtin:shake_nodes", "tracker=markers", "report=[node_error]",

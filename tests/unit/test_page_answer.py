@@ -32,6 +32,7 @@ from clothbench.studies.calibration.parameters_page import numbers as parameter_
 from clothbench.studies.calibration.ranking import (
     best_cell,
     best_of,
+    cell_names,
     errors_of,
     once,
     overall,
@@ -384,6 +385,16 @@ def asked_as(rows: list[dict[str, Any]], questions: dict[str, dict[str, Any]]) -
         return [{"key": k, "question": json.dumps(plain | questions[k])} for k in keys if k in questions]
 
     return with_settings(Results(SimpleNamespace(table=table), rows)).rows
+
+
+def test_cells_that_differ_in_what_they_report_are_told_apart_by_their_keys():
+    some = [row("a", "linen", "linen/x", 1.0, key=key, settings="same") for key in ("a0" * 8, "b1" * 8)]
+    other = row("b", "linen", "linen/x", 1.0, key="c2" * 8, settings="same")
+    names = cell_names([*some, other])
+    assert [names[r["key"]][-11:] for r in some] == [" · a0a0a0a0", " · b1b1b1b1"]
+    assert "c2c2" not in names[other["key"]]
+    headings = [text for text in error_table("s", some).columns[0].cells if "[bold]" in text]
+    assert len(set(headings)) == 2
 
 
 def test_what_was_set_otherwise_is_named():

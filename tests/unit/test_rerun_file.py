@@ -271,6 +271,12 @@ def test_errors_of_several_metrics_are_not_compared(tmp_path, monkeypatch, capsy
     out, remark = capsys.readouterr()
     assert out == ""
     assert remark == "clothbench: c: cell bbbbbbbb (c · m · o · node_error); further: aaaaaaaa, cccccccc\n"
+    others = [{"key": f"{n:x}" * 16, "case": "many", "value": n, "metric": "m", "objective": "m"} for n in range(11)]
+    row = {**dict.fromkeys({**ROW, **SYSTEM}), "suite": "s", "model": "m", "optimizer": "o", "split": "fit"}
+    monkeypatch.setattr(view, "fit_rows", lambda out: [row | other for other in others])
+    assert view.best_cell_of(tmp_path, "many") == "0" * 16
+    assert "further: 11111111, " in (said := capsys.readouterr().out)
+    assert said.endswith("77777777, 88888888 and 2 more\n")
     monkeypatch.setattr(film_rerun, "write_film_rerun", lambda path, *_: path.touch())
     names = [path.name[-12:] for path in write_best(Store(tmp_path), [key for key, _, _ in errors])]
     assert names == ["cccccccc.rrd", "bbbbbbbb.rrd"]

@@ -27,6 +27,15 @@ def test_put_and_read_back(tmp_path):
     assert {p.name for p in store.cell("abc").iterdir()} == {"rows.parquet", "history.parquet"}
 
 
+def test_cells_that_are_called_the_same_come_by_seed_and_key_however_they_are_asked_for(tmp_path):
+    store = Store(tmp_path)
+    cells = [("e", None), ("d", 0), ("a", 2), ("c", 2), ("b", 10)]
+    for key, seed in cells:
+        store.put(key, {"rows": [one_row(key=key, seed=seed, recording=name, split="fit") for name in ("x", None)]})
+    for keys in (None, ["c", "b", "d", "a", "e"], ["b", "e", "a", "c", "d"]):
+        assert [row["key"] for row in store.rows(keys) if row["recording"]] == [key for key, _ in cells]
+
+
 def test_an_error_is_not_finished(tmp_path):
     store = Store(tmp_path)
     store.put("abc", {"rows": [one_row("error")]})

@@ -33,11 +33,21 @@ from clothbench.studies.calibration.settings import analysis_settings, suite_set
 PRODUCT = ("model", "optimizer", "metric")
 
 
+def check(settings: Mapping[str, Any]) -> None:
+    """Refuse what can be no setting of a calibration, whatever it is of."""
+    require_plugins(settings, PRODUCT)
+    suite_settings(settings["suite"])
+    analysis_settings(settings["analysis"])
+    choice_of(settings.get("choice"))
+    if settings.get("prior"):
+        preset(str(settings["prior"]))
+
+
 def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | None = None) -> list[CalibrationCell]:
     """Every cell of checked settings; all recordings are read and all plugins made once before any is run."""
+    check(settings)
     suite = suite_settings(settings["suite"], plugins.names("effects"))
     analyses = analysis_settings(settings["analysis"])
-    require_plugins(settings, PRODUCT)
     recordings = read_all(where({**settings, "suite": suite}, progress))
     refuse_stated_weight(recordings, settings["scene"].get("areal_density"))
     by, each, joint = suite.get("case") or "fabric", suite["each"], suite["together"]

@@ -7,6 +7,7 @@ the same settings; seeds are repetitions of it, and of one seed one cell counts,
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -97,9 +98,13 @@ def set_otherwise(row: Mapping[str, Any]) -> str:
 
 
 def cell_names(rows: Rows) -> dict[str, str]:
-    """What each cell is called in a heading, by key: with what tells it from the others of these rows."""
+    """What each cell is called in a heading, by key: with what tells it from the others of these rows; by the beginning
+    of its key, which `view` and `export` take, where that is only what it reports or what is asked of the fit.
+    """
     marks = marks_of(rows)
-    return {key: " · ".join([cell_name(r), *marks(r)]) for key, r in {r["key"]: r for r in rows}.items()}
+    names = {key: " · ".join([cell_name(r), *marks(r)]) for key, r in {r["key"]: r for r in rows}.items()}
+    times = Counter(names.values())
+    return {key: name if times[name] == 1 else f"{name} · {key[:8]}" for key, name in names.items()}
 
 
 def _told(names: Sequence[str]) -> str:

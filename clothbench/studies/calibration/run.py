@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from clothbench.core.errors import one_line
+from clothbench.core.errors import ClothbenchError, one_line
 from clothbench.core.observation import Observation
 from clothbench.core.optional import ShowsSteps, objectives_of
 from clothbench.core.protocols import Metric, Score
@@ -19,7 +19,7 @@ from clothbench.engine.study import Context, Result
 from clothbench.engine.tables import finite
 from clothbench.estimation.calibrate import Fit, best_rollout
 from clothbench.estimation.intervals import interval_of, mean_of_split
-from clothbench.estimation.trials import evaluate, score_of
+from clothbench.estimation.trials import Trial, evaluate, made_sure, score_of
 from clothbench.recordings.colour_video import ColourVideo
 from clothbench.recordings.kinds import read_sheet
 from clothbench.recordings.nodes import Recording
@@ -60,9 +60,10 @@ def _scored(bench: Bench, fit: Fit, before: Sequence[Fit], context: Context) -> 
     fitted: list[Score] = []
     spent = fit.evaluations + sum(one.evaluations for one in before)
     for metric in [bench.trials[0].metric, *bench.others]:
-        scores = [score_of(t, metric, r) for t, r in zip(bench.trials, rollouts, strict=True)]
+        refused: dict[str, str] = {}
+        scores = [_score(bench, t, metric, r, refused) for t, r in zip(bench.trials, rollouts, strict=True)]
         fitted = fitted or scores
-        rows += _rows_of(bench, fit, spent, metric, scores, rollouts)
+        rows += _rows_of(bench, fit, spent, metric, scores, rollouts, refused)
         trace += _trace_of(bench, metric, scores)
     tables = {
         "rows": rows,
@@ -96,6 +97,20 @@ def _scored(bench: Bench, fit: Fit, before: Sequence[Fit], context: Context) -> 
             write_rerun(folder / "fit.rrd", bench, rollouts)
 
     return Result(fit.status, tables, attach)
+
+
+def _score(bench: Bench, trial: Trial, metric: Metric, rollout: Rollout, refused: dict[str, str]) -> Score:
+    """The metric on this trial; no number, with the reason in `refused` by the trial's name, where one that is only
+    reported refuses it: what was searched for is known, and stays.
+    """
+    if metric is bench.trials[0].metric:
+        return score_of(trial, metric, rollout)
+    try:
+        given = metric(trial.observation, rollout)
+    except ClothbenchError as fault:
+        refused[trial.name] = one_line(str(fault))
+        return Score(np.full(len(rollout.status), np.nan), metric.unit)
+    return made_sure(given, metric, rollout)
 
 
 def write_pictures(
@@ -140,16 +155,22 @@ def _why_lost(bench: Bench, fit: Fit) -> tuple[str, str]:
 
 
 def _rows_of(
-    bench: Bench, fit: Fit, spent: int, metric: Metric, scores: Sequence[Score], rollouts: Sequence[Rollout]
-) -> list[dict[str, Any]]:
-    """One row per recording, then one per split over its recordings. spent: evaluations on all meshes."""
+    bench: Bench, fit: Fit, spent: int, metric: Metric, scores: Sequence[Score], rollouts: Sequence[Rollout],
+    refused: Mapping[str, str],
+) -> list[dict[str, Any]]:  # fmt: skip
+    """One row per recording, then one per split over its recordings. spent: evaluations on all meshes; refused: why the
+    metric cannot be computed on a trial, by its name.
+    """
     cell = bench.cell
     about = {**about_cell(cell), **no_value(), "metric": metric.name, "unit": metric.unit}
     about |= {"evaluations": spent, "wall_s": fit.wall_s}
     rows = []
     for source, trial, score, rollout in zip(cell.recordings, bench.trials, scores, rollouts, strict=True):
-        low, high = interval_of(metric, score, trial.observation, rollout, cell.stream(source.hash))
-        status, reason = _status(fit, score, rollout, metric is bench.trials[0].metric)
+        low, high, floor = np.nan, np.nan, np.nan
+        if trial.name not in refused:
+            low, high = interval_of(metric, score, trial.observation, rollout, cell.stream(source.hash))
+            floor = metric.floor(trial.observation)
+        status, reason = _status(fit, score, rollout, metric is bench.trials[0].metric, refused.get(trial.name))
         rows.append(
             {
                 **about,
@@ -158,7 +179,7 @@ def _rows_of(
                 "value": finite(score.value[0]),
                 "low": finite(low),
                 "high": finite(high),
-                "floor": finite(metric.floor(trial.observation)),
+                "floor": finite(floor),
                 "status": status,
                 "reason": reason,
             }
@@ -170,15 +191,15 @@ def _rows_of(
     ]
 
 
-def _status(fit: Fit, score: Score, rollout: Rollout, searched: bool) -> tuple[str, str]:
+def _status(fit: Fit, score: Score, rollout: Rollout, searched: bool, refused: str | None) -> tuple[str, str]:
     """What came of one recording, and why; where all went well, why the search ended: at its budget it might have gone
     on. searched: by this metric; another that has nothing to say of a recording, as fold lines of cloth that no camera
-    saw, is no fault for which the cell would have to be run again.
+    saw, is no fault for which the cell would have to be run again. refused: why, where it said so itself.
     """
     if rollout.status[0] != "ok":
         return rollout.status[0], rollout.reasons[0] if rollout.reasons else ""
     if not np.isfinite(score.value[0]):
-        return "error" if searched else "skipped", "the metric could not be computed on this recording"
+        return "error" if searched else "skipped", refused or "the metric could not be computed on this recording"
     return fit.status, one_line(str(fit.stopped))  # of anybody's optimizer
 
 

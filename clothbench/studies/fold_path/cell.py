@@ -117,16 +117,27 @@ class FoldPathCell:
         return dict(self.options.get(name, {}))
 
 
-def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | None = None) -> list[FoldPathCell]:
-    """Every cell of checked settings."""
+def check(settings: Mapping[str, Any]) -> None:
+    """Refuse what can be no setting of a path, whatever follows it."""
     nothing = "nothing is measured or fitted in this suite"
     refuse(settings, NOT_USED, nothing, "this suite has a desk of its own")
     refuse_of_searches(settings, nothing)
     require_plugins(settings, ("model",))
-    suite, cells = settings["suite"], []
+    _product(settings["suite"])
+
+
+def _product(suite: Mapping[str, Any]) -> tuple[list[str], list[str], PathSettings]:
+    """Fabrics, ways and the fold that a suite is about."""
     given = mapping("suite.path", suite.get("path"))
     ways, about = chosen_ways(given.pop("ways", None)), path_settings(given)
-    fabrics = chosen_fabrics(some_words("suite.select", suite.get("select"), ["*"]))
+    return chosen_fabrics(some_words("suite.select", suite.get("select"), ["*"])), ways, about
+
+
+def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | None = None) -> list[FoldPathCell]:
+    """Every cell of checked settings."""
+    check(settings)
+    suite, cells = settings["suite"], []
+    fabrics, ways, about = _product(suite)
     for fabric, way, model in itertools.product(fabrics, ways, settings["model"]):
         cell = FoldPathCell(suite.get("name") or "fold_path", fabric, way, model, about, settings["options"])
         for kind, name in cell.uses:

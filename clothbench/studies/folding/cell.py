@@ -119,11 +119,18 @@ class FoldingCell:
         return seed_of(self.case, self.fold.length, self.seed, purpose)
 
 
-def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | None = None) -> list[FoldingCell]:
-    """Every cell of checked settings; an option that a plugin does not have comes to light here."""
+def check(settings: Mapping[str, Any]) -> None:
+    """Refuse what can be no setting of a fold, whatever folds it."""
     made = "the recordings of this suite are made as it runs"
     refuse(settings, NOT_RECORDED, made, "this suite has a strip on a desk")
     require_plugins(settings, ("model", "optimizer", "metric"))
+    fold_settings(mapping("suite.fold", settings["suite"].get("fold")))
+    chosen_fabrics(selected(settings["suite"]))
+
+
+def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | None = None) -> list[FoldingCell]:
+    """Every cell of checked settings; an option that a plugin does not have comes to light here."""
+    check(settings)
     suite, cells = settings["suite"], []
     spaces: list[ParameterSpace] = []
     lifted, fabrics = fold_settings(mapping("suite.fold", suite.get("fold"))), chosen_fabrics(selected(suite))

@@ -46,10 +46,23 @@ NOT_ASKED = ("metric", "report", "analysis", "choice")
 OF_SCENE = ("areal_density", "air_density", "start")  # settings of the scene that the loop follows
 
 
-def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | None = None) -> list[ImproveCell]:
-    """A cell for each model, with each optimizer; and for each fabric, where `suite.case` asks for that."""
+def check(settings: Mapping[str, Any]) -> None:
+    """Refuse what can be no setting of the loop, whatever the recordings."""
+    suite = settings["suite"]
     require_plugins(settings, ("model", "optimizer"))
     refuse_what_is_not_asked(settings)
+    some_words("suite.select", suite.get("select"), ["*"])
+    if (by := suite.get("case")) not in (None, "fabric"):
+        raise ClothbenchError(f"setting 'suite.case' is {by!r}, expected fabric, or null for all in one")
+    if suite.get("resolution") is not None:
+        whole("resolution", suite["resolution"], LEAST_NODES)
+    if settings["prior"]:
+        preset(str(settings["prior"]))
+
+
+def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | None = None) -> list[ImproveCell]:
+    """A cell for each model, with each optimizer; and for each fabric, where `suite.case` asks for that."""
+    check(settings)
     paths = where(settings, progress)
     stated = kind_of(paths[0])
     kind = stated if stated in (CURVES.kind, DRAPES.kind) else "nodes"
@@ -90,9 +103,7 @@ def cases_of(recordings: Sequence[Any], settings: Mapping[str, Any]) -> dict[str
     """The recordings that `suite.select` names, by the case that each question is about."""
     suite, seed = settings["suite"], settings["seed"]
     chosen = matching(recordings, some_words("suite.select", suite.get("select"), ["*"]))
-    if (by := suite.get("case")) not in (None, "fabric"):
-        raise ClothbenchError(f"setting 'suite.case' is {by!r}, expected fabric, or null for all in one")
-    if by is None:  # called by their folder
+    if suite.get("case") is None:  # called by their folder
         return {Path(chosen[0].path).absolute().parent.name: sources_of(chosen, seed)}
     return {
         case: sources_of([r for r in chosen if r.fabric == case], seed) for case in sorted({r.fabric for r in chosen})

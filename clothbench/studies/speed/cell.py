@@ -62,11 +62,17 @@ class SpeedCell:
         return f"speed of {self.model}"
 
 
-def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | None = None) -> list[SpeedCell]:
-    """One cell, whatever there is to measure."""
+def check(settings: Mapping[str, Any]) -> None:
+    """Refuse what can be no setting of a measurement, whatever is measured."""
     refuse(settings, NOT_TIMED, "speed is measured on a scene of its own, with options of each model's own",
            "speed is measured on a scene of its own")  # fmt: skip
     refuse_of_searches(settings, "speed is measured on a scene of its own, and nothing is fitted")
+    mesh_sides(settings["suite"].get("sides"))
+
+
+def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | None = None) -> list[SpeedCell]:
+    """One cell, whatever there is to measure."""
+    check(settings)
     sides = mesh_sides(settings["suite"].get("sides"))
     models = tuple(dict.fromkeys(settings["model"]))
     peers = tuple(peer.name for peer, reason in peers_in(plugins) if reason is None)
