@@ -29,6 +29,7 @@ from clothbench.studies.calibration.matrix import HOTTEST, metrics_of, one_way, 
 from clothbench.studies.calibration.page import told_by_unit
 from clothbench.studies.calibration.parameters_page import exact, group_by_key, model_table, strip_of, truth_said
 from clothbench.studies.calibration.parameters_page import numbers as parameter_numbers
+from clothbench.studies.calibration.published import published_section
 from clothbench.studies.calibration.ranking import (
     best_cell,
     best_of,
@@ -672,6 +673,24 @@ def test_a_truth_outside_of_its_interval_is_marked_and_counted():
 
 def shown(html: str) -> str:
     return " ".join(re.sub(r"<[^>]*>", " ", html).split())
+
+
+def test_beside_the_paper_stands_the_error_of_the_metric_and_not_the_mean_of_its_frames():
+    """They differ where nodes are missing: `node_error` takes each node's mean first, as the paper does."""
+    known = {"recording": "linen/1", "split": "fit", "metric": "fold", "unit": "cm"}
+    tables = {
+        "published": [{"metric": "fold", "name": "paper", "value": 2.5, "unit": "cm", "key": "a-linen"}],
+        "trace": [{**known, "time": t, "value": value} for t, value in ((0.0, 1.0), (1.0, 3.72), (2.0, None))],
+    }
+    store: Any = SimpleNamespace(table=lambda name, *_: tables[name])
+    rows = [row("a", "linen", "linen/1", 2.52), row("a", "linen", None, 2.6), row("a", "linen", "linen/1", 9.0, metric="b")]
+    section = published_section(Results(store, rows))
+    assert section is not None
+    cells = [shown(told) for told in re.findall(r"<td[^>]*>(.*?)</td>", section.html)]
+    assert cells[2:5] == ["linen/1 (fit)", "2.52", "3.72"]
+    section = published_section(Results(store, [row("a", "linen", None, None)]))
+    assert section is not None
+    assert "2.36" not in section.html  # a recording without a value has none here
 
 
 def test_of_models_against_mechanics_the_answer_counts_references_that_are_met():
