@@ -773,6 +773,20 @@ def test_folds_that_fail_or_are_stopped_count_and_are_not_within():
         f"{n}, {x} m" for x in ("0.5", "1") for n in ("triangular", "circular")
     ]
     assert drawn[1]["x"][-1] == 0.25  # at half its length, where the way up ends
+    assert [one["name"] for one in drawn[4:]] == ["denim", "twill"]  # an older version kept no path of the reference
+
+
+def test_the_grippers_path_stands_beside_that_of_the_reference():
+    """Figure 9 of Petrík et al.: the reference's path, and those of its ± 2σ, from the flat strip's end on."""
+    known = {"length": 1.0, "reference_x": 0.95, "reference_x_low": 0.96, "reference_x_high": 0.93, "x": 0.94}
+    steps = [{**known, "key": "a", "step": 1, "z": 0.1}, {**known, "key": "a", "step": 2, "z": 0.2, "reference_x": 0.9}]
+    *_, band, line, path = path_figure(steps, {"a": "denim"})["data"]
+    assert (band["x"], band["y"]) == ([1.0, 0.96, 0.96, 0.93, 0.93, 1.0], [0.0, 0.1, 0.2, 0.2, 0.1, 0.0])
+    assert (line["x"], line["y"], line["line"]["dash"]) == ([1.0, 0.95, 0.9], [0.0, 0.1, 0.2], "dot")
+    assert line["line"]["color"] == band["line"]["color"] == path["line"]["color"]
+    assert {one["legendgroup"] for one in (band, line, path)} == {"a"}  # shown and hidden together
+    lost = path_figure([steps[0], {**steps[1], "reference_x_low": None}], {"a": "denim"})["data"]
+    assert lost[-2]["y"] == [0.0, 0.1]
 
 
 def test_folds_of_one_fabric_are_told_apart_by_what_differs():
