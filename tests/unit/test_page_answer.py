@@ -683,7 +683,11 @@ def test_beside_the_paper_stands_the_error_of_the_metric_and_not_the_mean_of_its
         "trace": [{**known, "time": t, "value": value} for t, value in ((0.0, 1.0), (1.0, 3.72), (2.0, None))],
     }
     store: Any = SimpleNamespace(table=lambda name, *_: tables[name])
-    rows = [row("a", "linen", "linen/1", 2.52), row("a", "linen", None, 2.6), row("a", "linen", "linen/1", 9.0, metric="b")]
+    rows = [
+        row("a", "linen", "linen/1", 2.52),
+        row("a", "linen", None, 2.6),
+        row("a", "linen", "linen/1", 9.0, metric="b"),
+    ]
     section = published_section(Results(store, rows))
     assert section is not None
     cells = [shown(told) for told in re.findall(r"<td[^>]*>(.*?)</td>", section.html)]

@@ -22,8 +22,8 @@ INTRO = """<p class="soft">A strip is lifted step by step; after each step its s
 profile, and the next step follows the estimate. The reference comes from fold heights that were measured by hand, its
 range from two standard deviations of these.</p>"""
 PATHS = (
-    "Where the gripper was sent, between the triangular and the circular path; dotted, where it would have been sent "
-    "for the reference, in the band of its ± 2σ."
+    "Where the gripper was sent, between the triangular and the circular path (grey); dotted in the same colour, where "
+    "it would have been sent for the reference, in the band of its ± 2σ."
 )
 
 
@@ -133,8 +133,8 @@ def path_figure(steps: Rows, names: Mapping[str, str]) -> dict[str, Any]:
         data += _reference(mine, n, key, escape(names[key]))
     for n, (key, mine) in enumerate(folds):
         x, z = ([mine[0]["length"], *(s["x"] for s in mine)], [0.0, *(s["z"] for s in mine)])
-        told = _line(rounded(x), rounded(z), n, names[key], "x %{x:.3f} m, z %{y:.3f} m")
-        data.append({**told, "legendgroup": key})
+        line = _line(rounded(x), rounded(z), n, names[key], "x %{x:.3f} m, z %{y:.3f} m")
+        data.append({**line, "legendgroup": key})
     y = {"title": {"text": "z [m]"}, "scaleanchor": "x", "zeroline": False}
     return _figure(data, 520, {"title": {"text": "x [m]"}, "zeroline": False}, y, legend=True)
 
