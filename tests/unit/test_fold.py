@@ -173,6 +173,10 @@ def test_a_fold_ends_near_its_fabric(tmp_path):
     steps = store.table("fold")
     assert [s["step"] for s in steps] == [1, 2, 3]
     assert steps[0]["z"] == pytest.approx(0.04)
+    for step in steps:  # the stiffer the cloth, the further out it is led
+        assert step["reference_x_low"] > step["reference_x"] > step["reference_x_high"]
+    led = KirchhoffLove().strip(1.0).lift(0.12, np.array([[5.2e3, 1e-5, 0.3]])).pose[0, 0]
+    assert steps[-1]["reference_x"] == pytest.approx(led, abs=1e-9)
     assert "denim" in fold_section(store.rows(), steps).whole
     assert fold_table("folds", store.rows(), steps).row_count == 1
     assert summary(steps).startswith("within ± 2σ at the last step: 1 of 1")

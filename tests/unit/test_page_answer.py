@@ -29,6 +29,7 @@ from clothbench.studies.calibration.matrix import HOTTEST, metrics_of, one_way, 
 from clothbench.studies.calibration.page import told_by_unit
 from clothbench.studies.calibration.parameters_page import exact, group_by_key, model_table, strip_of, truth_said
 from clothbench.studies.calibration.parameters_page import numbers as parameter_numbers
+from clothbench.studies.calibration.published import published_section
 from clothbench.studies.calibration.ranking import (
     best_cell,
     best_of,
@@ -685,6 +686,28 @@ def shown(html: str) -> str:
     return " ".join(re.sub(r"<[^>]*>", " ", html).split())
 
 
+def test_beside_the_paper_stands_the_error_of_the_metric_and_not_the_mean_of_its_frames():
+    """They differ where nodes are missing: `node_error` takes each node's mean first, as the paper does."""
+    known = {"recording": "linen/1", "split": "fit", "metric": "fold", "unit": "cm"}
+    tables = {
+        "published": [{"metric": "fold", "name": "paper", "value": 2.5, "unit": "cm", "key": "a-linen"}],
+        "trace": [{**known, "time": t, "value": value} for t, value in ((0.0, 1.0), (1.0, 3.72), (2.0, None))],
+    }
+    store: Any = SimpleNamespace(table=lambda name, *_: tables[name])
+    rows = [
+        row("a", "linen", "linen/1", 2.52),
+        row("a", "linen", None, 2.6),
+        row("a", "linen", "linen/1", 9.0, metric="b"),
+    ]
+    section = published_section(Results(store, rows))
+    assert section is not None
+    cells = [shown(told) for told in re.findall(r"<td[^>]*>(.*?)</td>", section.html)]
+    assert cells[2:5] == ["linen/1 (fit)", "2.52", "3.72"]
+    section = published_section(Results(store, [row("a", "linen", None, None)]))
+    assert section is not None
+    assert "2.36" not in section.html  # a recording without a value has none here
+
+
 def test_of_models_against_mechanics_the_answer_counts_references_that_are_met():
     def tested(model: str, case: str, value: float | None, reference: float, metric: str = "drop") -> dict[str, Any]:
         return row(model, case, None, value, metric=metric, reference=reference)
@@ -765,6 +788,20 @@ def test_folds_that_fail_or_are_stopped_count_and_are_not_within():
         f"{n}, {x} m" for x in ("0.5", "1") for n in ("triangular", "circular")
     ]
     assert drawn[1]["x"][-1] == 0.25  # at half its length, where the way up ends
+    assert [one["name"] for one in drawn[4:]] == ["denim", "twill"]  # an older version kept no path of the reference
+
+
+def test_the_grippers_path_stands_beside_that_of_the_reference():
+    """Figure 9 of Petrík et al.: the reference's path, and those of its ± 2σ, from the flat strip's end on."""
+    known = {"length": 1.0, "reference_x": 0.95, "reference_x_low": 0.96, "reference_x_high": 0.93, "x": 0.94}
+    steps = [{**known, "key": "a", "step": 1, "z": 0.1}, {**known, "key": "a", "step": 2, "z": 0.2, "reference_x": 0.9}]
+    *_, band, line, path = path_figure(steps, {"a": "denim"})["data"]
+    assert (band["x"], band["y"]) == ([1.0, 0.96, 0.96, 0.93, 0.93, 1.0], [0.0, 0.1, 0.2, 0.2, 0.1, 0.0])
+    assert (line["x"], line["y"], line["line"]["dash"]) == ([1.0, 0.95, 0.9], [0.0, 0.1, 0.2], "dot")
+    assert line["line"]["color"] == band["line"]["color"] == path["line"]["color"]
+    assert {one["legendgroup"] for one in (band, line, path)} == {"a"}  # shown and hidden together
+    lost = path_figure([steps[0], {**steps[1], "reference_x_low": None}], {"a": "denim"})["data"]
+    assert lost[-2]["y"] == [0.0, 0.1]
 
 
 def test_folds_of_one_fabric_are_told_apart_by_what_differs():

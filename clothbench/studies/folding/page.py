@@ -21,6 +21,10 @@ Rows = Sequence[dict[str, Any]]
 INTRO = """<p class="soft">A strip is lifted step by step; after each step its stiffness is estimated from a laser
 profile, and the next step follows the estimate. The reference comes from fold heights that were measured by hand, its
 range from two standard deviations of these.</p>"""
+PATHS = (
+    "Where the gripper was sent, between the triangular and the circular path (grey); dotted in the same colour, where "
+    "it would have been sent for the reference, in the band of its ± 2σ."
+)
 
 
 def sections(results: Results) -> list[Section]:
@@ -43,7 +47,7 @@ def fold_section(rows: Rows, steps: Rows) -> Section:
     shown = (
         (last_figure(steps, names), "Reference with its ± 2σ (grey), and the last step's estimate with its interval."),
         (step_figure(steps, names), "The estimate after every step over the reference."),
-        (path_figure(steps, names), "Where the gripper was sent, between the triangular and the circular path."),
+        (path_figure(steps, names), PATHS),
     )
     figures = "".join(
         f'<figure><figcaption>{text(words)}</figcaption><div id="fold-{n}"></div></figure>'
@@ -113,7 +117,9 @@ def step_figure(steps: Rows, names: Mapping[str, str]) -> dict[str, Any]:
 
 
 def path_figure(steps: Rows, names: Mapping[str, str]) -> dict[str, Any]:
-    """The gripper's path of every fold between the two geometrical ones, those of every length of strip."""
+    """The gripper's path of every fold between the two geometrical ones, those of every length of strip, and beside
+    those of its reference, as in figure 9 of Petrík et al.
+    """
     data = []
     lengths = group(steps, lambda s: float(s["length"]))
     for length, some in sorted(lengths.items()):
@@ -122,12 +128,34 @@ def path_figure(steps: Rows, names: Mapping[str, str]) -> dict[str, Any]:
             told = f"{name}, {length:g} m" if len(lengths) > 1 else name
             data.append({"type": "scatter", "mode": "lines", "x": rounded(path(length, height)), "y": rounded(height),
                          "line": {"color": GREY, "dash": dash, "width": 2}, "name": told})  # fmt: skip
-    for n, key in enumerate(dict.fromkeys(s["key"] for s in steps)):
-        mine = [s for s in steps if s["key"] == key]
+    folds = list(group(steps, lambda s: s["key"]).items())
+    for n, (key, mine) in enumerate(folds):
+        data += _reference(mine, n, key, escape(names[key]))
+    for n, (key, mine) in enumerate(folds):
         x, z = ([mine[0]["length"], *(s["x"] for s in mine)], [0.0, *(s["z"] for s in mine)])
-        data.append(_line(rounded(x), rounded(z), n, names[key], "x %{x:.3f} m, z %{y:.3f} m"))
+        line = _line(rounded(x), rounded(z), n, names[key], "x %{x:.3f} m, z %{y:.3f} m")
+        data.append({**line, "legendgroup": key})
     y = {"title": {"text": "z [m]"}, "scaleanchor": "x", "zeroline": False}
     return _figure(data, 520, {"title": {"text": "x [m]"}, "zeroline": False}, y, legend=True)
+
+
+def _reference(steps: Rows, number: int, key: str, name: str) -> list[dict[str, Any]]:
+    """Where the gripper would have been sent for what a fold's fabric is known by, and for the ends of its range; shown
+    and hidden with the fold. Nothing where no step has it: older versions kept none.
+    """
+    columns = ("reference_x", "reference_x_low", "reference_x_high")
+    known = [s for s in steps if all(s.get(column) is not None for column in columns)]
+    if not known:
+        return []
+    middle, low, high = (rounded([known[0]["length"], *(s[column] for s in known)]) for column in columns)
+    z = rounded([0.0, *(s["z"] for s in known)])
+    line = {"color": COLOURS[number % len(COLOURS)], "dash": "dot", "width": 2}
+    drawn = {"type": "scatter", "mode": "lines", "legendgroup": key, "showlegend": False, "hoverinfo": "skip"}
+    band = {"x": [*low, *high[::-1]], "y": [*z, *z[::-1]], "fill": "toself", "opacity": 0.3, "name": f"{name}, ± 2σ"}
+    return [
+        {**drawn, **band, "line": {**line, "width": 0}},
+        {**drawn, "x": middle, "y": z, "line": line, "name": f"{name}, reference"},
+    ]
 
 
 def _line(x: Sequence[Any], y: Sequence[Any], number: int, name: str, hover: str) -> dict[str, Any]:

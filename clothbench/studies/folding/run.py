@@ -23,6 +23,7 @@ from clothbench.core.rollout import Rollout
 from clothbench.engine.cells import Skipped
 from clothbench.engine.rows import about_cell, no_value
 from clothbench.engine.study import Context, Result
+from clothbench.engine.tables import finite
 from clothbench.estimation.intervals import beside_held, held_by_bounds, jackknife
 from clothbench.estimation.search import drive
 from clothbench.modelling.joined import JoinedParameters
@@ -76,6 +77,13 @@ class Hand:
         if state.status[0] != "ok":
             raise ClothbenchError(f"{self.cell.model}: no state found with the end at {height:g} m")
         return state
+
+    def reference_path(self, height: float) -> dict[str, float | None]:
+        """x [m] of the gripper at a height [m] for what the fabric is known by, and for the ends of its range."""
+        fabric, every = self.cell.fabric, np.repeat(self.whole.defaults[None], 3, axis=0)
+        every[:, self.whole.names.index(self.space.names[0])] = fabric.eta, fabric.eta_low, fabric.eta_high
+        x = self.strip.lift(height, self.joined.of_model(every)).pose[:, 0]
+        return dict(zip(("reference_x", "reference_x_low", "reference_x_high"), map(finite, x), strict=True))
 
     def hold(self, theta: np.ndarray, near: FoldState) -> FoldState:
         """S(T T_δ, η_b) for estimates (B, F), the gripper being sent to where `near` has it."""
@@ -147,7 +155,7 @@ def run(cell: FoldingCell, context: Context) -> Result:
         theta, least, evaluations = _estimate(hand, optimizer, near, seen)
         spent = planned + time.perf_counter() - began
         low, high = hand.interval(theta, near, seen)
-        steps.append(_step(cell, sheet, truth, near, number) | {
+        steps.append(_step(cell, sheet, truth, near, number) | hand.reference_path(number * cell.fold.rise) | {
             "estimate": theta, "low": low, "high": high, "profile": least, "tracker_error": error,
             "sigma": seen.sigma, "evaluations": evaluations, "wall_s": spent,
         })  # fmt: skip
