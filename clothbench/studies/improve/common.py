@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from clothbench.engine.cells import digest
+from clothbench.studies.improve.verdict import left_beyond
 
 Document = dict[str, Any]
 LEAST = 2  # models that have something to say, from which on something is in common
@@ -46,7 +47,7 @@ def without_names(found: Document) -> Document:
     out = found | {name: calibrated(found[name]) for name in ("error_mm", "error") if name in found}
     for name, error in (("unexplained_mm", out["error_mm"]), ("unexplained", out.get("error"))):
         if found.get(name) is not None and error is not None:
-            out[name] = max(error["fit"]["before"] ** 2 - error["noise_floor"] ** 2, 0.0) ** 0.5
+            out[name] = left_beyond(error["fit"]["before"], error["noise_floor"])
     return out
 
 

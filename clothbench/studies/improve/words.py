@@ -143,7 +143,10 @@ def sentence(found: Mapping[str, Any]) -> str:
         if found["hint"].startswith(AT_LIMIT) and split == "fit" and error["held_out"]["per_recording"]:
             return f"What {model} leaves is nothing above noise and mesh, but not all of it could be judged: {rest}"
         if not error["unexplained"] and error.get("mesh"):
-            return f"What {model} leaves is less than its mesh can tell, so that nothing is named: {rest}"
+            return (
+                f"What {model} leaves{left_where(error)} is no more than noise and its mesh account for, so that nothing "
+                f"is named: {rest}"
+            )
         if left_on(error) != split:
             return f"{model} leaves {beyond(error)}{left_where(error)} that no candidate explains; {rest}"
         return f"{model} leaves {beyond(error)} that no candidate explains: {rest}"
