@@ -217,6 +217,16 @@ def test_noise_and_mesh_stand_apart_and_neither_is_called_a_floor():
     assert below.startswith(said)
 
 
+def test_all_that_is_left_is_not_told_as_the_size_of_the_mesh_s_error():
+    """Of the mesh no more is counted than is left: it may be wrong by more."""
+    found = on_a_mesh("unexplained", unexplained_mm=0.0)
+    found["error_mm"] |= {"mesh": (4.75**2 - 1) ** 0.5, "noise_floor": 4.75}
+    assert "the mesh may be wrong by at least as much as the fit leaves above that (4.64 mm)" in sentence(found)
+    assert "<b>≥ 4.64</b>mm that the mesh may be wrong by" in page_html(found, rows())
+    assert "(no more of the mesh than the fit leaves), below which this mesh tells nothing" in page_html(found, rows())
+    assert "<b>≥" not in page_html(on_a_mesh("attributed", EFFECT), rows())
+
+
 @pytest.mark.parametrize(
     ("after", "said"), [(1.26, "changes nothing"), (1.4, "makes it worse"), (1.1, "lowers it still further")]
 )

@@ -30,6 +30,8 @@ from clothbench.studies.improve.words import (
     errors_of,
     left_on,
     limits,
+    mesh_is_capped,
+    mesh_size,
     p_is,
     remains,
     sentence,
@@ -111,7 +113,7 @@ def common_html(found: Mapping[str, Any]) -> str:
             [f'<a href="cells/{one["key"]}/index.html">{text(one["name"])}</a>', text(one["verdict"]),
              text(", ".join(entry["name"] for entry in one["effects"]) + own),
              " → ".join(size(error[split][fit], error["unit"]) for fit in ("before", "after")) + f" {error['unit']}",
-             size(error["noise"], error["unit"]), size(error["mesh"], error["unit"])]
+             size(error["noise"], error["unit"]), mesh_size(error)]
         )  # fmt: skip
     heads = ["model", "verdict", "lacks", "error before → after", "noise", "mesh"]
     parts = [
@@ -172,7 +174,7 @@ def tiles(found: Mapping[str, Any]) -> str:
     (noise, alone), *_ = limits(error)
     shown.append((size(alone, unit), f"{unit}, {noise} alone"))
     if error.get("mesh"):
-        shown.append((size(error["mesh"], unit), f"{unit} that the mesh may be wrong by"))
+        shown.append((mesh_size(error), f"{unit} that the mesh may be wrong by"))
     left, _, words = beyond(error).partition(" ")
     split = f", {left_on(error).replace('_', ' ')}" if error["held_out"]["before"] is not None else ""
     shown.append((left, f"{words} remain{split}"))
@@ -188,7 +190,8 @@ def error_section(found: Mapping[str, Any], errors: Rows, blocks: list[dict[str,
     caption = f"Root-mean-square over {over}. Dots: recordings that were fitted; diamonds: held out, never fitted, "
     known = [name for name, _ in limits(error)]
     caption += f"which decide only whether the verdict stands. Grey line: {known[0]} alone"
-    caption += f"; dotted: {known[1]}, below which this mesh tells nothing." if len(known) > 1 else "."
+    much = " (no more of the mesh than the fit leaves)" if mesh_is_capped(error) else ""
+    caption += f"; dotted: {known[1]}{much}, below which this mesh tells nothing." if len(known) > 1 else "."
     fall = error["held_out"]["ci95"]
     if found["effects"] and fall[0] is not None:
         low, high = (size(v, error["unit"]) for v in fall)

@@ -56,8 +56,21 @@ def limit_line(error: Mapping[str, Any]) -> str:
     unit = error["unit"]
     if error.get("mesh"):
         noise, mesh = (size(error[name], unit) for name in ("noise", "mesh"))
-        return f"noise alone would give {noise} {unit}, and the mesh may be wrong by {mesh} {unit}"
+        least = f"at least as much as the fit leaves above that ({mesh} {unit})"
+        wrong_by = least if mesh_is_capped(error) else f"{mesh} {unit}"
+        return f"noise alone would give {noise} {unit}, and the mesh may be wrong by {wrong_by}"
     return f"the {noise_word(error)} alone would give {size(error['noise_floor'], unit)} {unit}"
+
+
+def mesh_is_capped(error: Mapping[str, Any]) -> bool:
+    """Whether the mesh may be wrong by more than is left above the noise, which is all of it that verdicts count."""
+    after = error["fit"]["after"]
+    return bool(error.get("mesh")) and after is not None and math.isclose(after, error["noise_floor"], rel_tol=1e-9)
+
+
+def mesh_size(error: Mapping[str, Any]) -> str:
+    """What the mesh may be wrong by: "0.74", "≥ 10.67" """
+    return ("≥ " if mesh_is_capped(error) else "") + size(error["mesh"], error["unit"])
 
 
 def beyond(error: Mapping[str, Any]) -> str:
