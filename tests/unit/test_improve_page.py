@@ -15,6 +15,7 @@ from clothbench.studies.improve.figures import stage_figure
 from clothbench.studies.improve.missing_page import balance_section
 from clothbench.studies.improve.page import page_html
 from clothbench.studies.improve.schema import IMPROVE_TABLES
+from clothbench.studies.improve.terminal import verdict_lines
 from clothbench.studies.improve.words import chance, p_is, remains, sentence, sham
 
 NOTHING = {name: [] for name in IMPROVE_TABLES}
@@ -268,6 +269,21 @@ def test_every_family_of_effects_has_a_picture_and_no_other():
     assert drawing("tarot", "a stranger's") == ""
     assert '<svg class="sketch"' in page_html(verdict("attributed", {**EFFECT, "family": "clock"}), rows())
     assert '<svg class="sketch"' not in page_html(verdict("attributed", EFFECT), rows())
+
+
+def test_more_than_elsewhere_is_said_of_what_is_more_alone():
+    """Beyond chance, yet by a hundredth of the whole: "1 times" is told by neither terminal nor page."""
+    row = {"kind": "where", "rms": 1.0, "unit": "mm", "p_value": 0.01}
+    parts = (("upper left", 1.126), ("lower right", 1.04), ("lower left", 1.5))
+    told = [{**row, "part": part, "ratio": ratio} for part, ratio in parts]
+    told[2]["p_value"] = 0.2
+    lines = list(verdict_lines(verdict("complete", whereabouts=told)))
+    assert "more is left than elsewhere: upper left (1.13 times the whole)" in lines
+    page = page_html(verdict("complete"), {**NOTHING, "whereabouts": told})
+    assert page.count(">more than elsewhere<") == 1
+    assert 'upper left <span class="pill note">more than elsewhere' in page
+    none = verdict_lines(verdict("complete", whereabouts=told[1:]))
+    assert not any(line.startswith("more is left") for line in none)
 
 
 def test_durations():

@@ -15,6 +15,7 @@ from clothbench.studies.improve.verdict import AT_LIMIT
 Rows = Sequence[dict[str, Any]]
 MESHED = "noise and mesh"
 SAME = 0.02  # share of an error that is no change of it
+MORE = 1.1  # times as much as is left of the whole, from which on a part or a phase is said to have more
 WHITE = 0.3  # correlation of one frame with the next below which a residual looks like noise
 
 
@@ -105,6 +106,11 @@ def p_is(p_value: float, draws: int = LOOP.permutations) -> str:
     """ "p = 0.03", "p ≤ 1/200" """
     said = chance(p_value, draws)
     return f"p {said}" if said.startswith("≤") else f"p = {said}"
+
+
+def more_is_left(row: Mapping[str, Any]) -> bool:
+    """Whether a row of `whereabouts` is beyond chance, and enough for it to be said."""
+    return bool(row["p_value"] < LOOP.significance and row["ratio"] >= MORE)
 
 
 def sham(error: Mapping[str, Any]) -> str:
