@@ -214,7 +214,9 @@ def test_noise_and_mesh_stand_apart_and_neither_is_called_a_floor():
     lines = blocks(text)["frames"]["b (held out)"][0]["data"]
     assert {line["meta"]: line["y"][0] for line in lines[2:]} == {"noise": 1.0, "noise and mesh": 1.72}
     below = sentence(on_a_mesh("unexplained", unexplained_mm=0.0))
-    said = "What <b>springs</b> leaves on the recordings fitted (4.75 mm) is no more than noise and its mesh account for"
+    said = (
+        "What <b>springs</b> leaves on the recordings fitted (4.75 mm) is no more than noise and its mesh account for"
+    )
     assert below.startswith(said)
 
 
@@ -269,6 +271,23 @@ def test_every_family_of_effects_has_a_picture_and_no_other():
     assert drawing("tarot", "a stranger's") == ""
     assert '<svg class="sketch"' in page_html(verdict("attributed", {**EFFECT, "family": "clock"}), rows())
     assert '<svg class="sketch"' not in page_html(verdict("attributed", EFFECT), rows())
+
+
+def test_drift_is_a_sign_only_where_the_mesh_is_fine_enough_and_searches_moved():
+    (first,) = rows()["drift"]
+    kept = {"value": first["joint"]}  # of a search that never left its start
+    drift = [first | {"recording": n, **more} for n, more in zip("abc", ({"outside": True}, kept, kept), strict=True)]
+    coarse = page_html(on_a_mesh("unexplained"), {**rows(), "drift": drift})
+    assert "Of 3 values 2 never left the start of their search (hollow) and have no say. Standing out: k;" in coarse
+    assert "no sign of missing physics" in coarse.replace("\n", " ")
+    found = on_a_mesh("unexplained")
+    found["error_mm"]["mesh"] = 0.9
+    fine = page_html(found, {**rows(), "drift": drift})
+    assert "Standing out: k, which may be a sign of physics that the calibrated model lacks." in fine
+    assert blocks(fine)["drift"]["k"][0]["data"][-1]["marker"]["symbol"] == ["diamond", "circle-open", "circle-open"]
+    still = page_html(found, {**rows(), "drift": [first]})
+    assert "None stands out" in still
+    assert "never left" not in still
 
 
 def test_more_than_elsewhere_is_said_of_what_is_more_alone():

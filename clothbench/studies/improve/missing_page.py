@@ -20,7 +20,7 @@ WHEREABOUTS = f"""Rms of what is left, and how many times that of the whole: rec
 is told (of parts of the cloth the geometric mean, of phases that of the mean squares), which need not be the ratio of
 two numbers of this page. p, of a part of the cloth: how often it would be above the rest in recording after recording
 by chance; of a phase: how often as much would be left in it of the same residual moved round in time, the best of all
-phases. More than elsewhere: p < {LOOP.significance}, and {MORE} times the whole or more."""
+phases. More than elsewhere: p below {LOOP.significance}, and {MORE} times the whole or more."""
 
 
 def description_section(found: Mapping[str, Any] | None) -> str:

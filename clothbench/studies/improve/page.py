@@ -64,8 +64,10 @@ CAPTURES = """<p class="soft">Drapes that are laid on anew fold anew. Where capt
 alike beyond chance (p), folds are remembered or the cloth was not laid on anew, which pictures cannot tell apart: then
 there are fewer drapes than captures.</p>"""
 DRIFT = """The calibrated model fitted to each recording alone. Line and band: all together, 95 % interval,
-about which single recordings scatter more widely. Diamonds stand out of the spread of all that were fitted alone
-(Grubbs' test, 5 % over all recordings): a parameter that drifts so is a sign of missing physics."""
+about which single recordings scatter more widely. Diamonds stand out of the spread of all whose search moved (Grubbs'
+test, 5 % over all recordings and parameters)."""
+COARSE = """the mesh may be wrong by more than the noise, which moves parameters from recording to recording, too, so that
+this is no sign of missing physics"""
 
 
 def page_html(found: Mapping[str, Any], tables: Tables) -> str:
@@ -89,7 +91,7 @@ def page_html(found: Mapping[str, Any], tables: Tables) -> str:
         direction_section(found, tables["portrait"], blocks),
         against_section(found, tables["against"], blocks),
         parameter_section(tables["parameters"], bool(found["effects"]), found.get("condition")),
-        drift_section(tables["drift"], blocks),
+        drift_section(found, tables["drift"], blocks),
         stage_section(found, tables["stages"], blocks),
         remains_section(found, tables),
     ]
@@ -352,13 +354,29 @@ def parameter_section(rows: Rows, changed: bool, condition: float | None) -> str
     return f'<h2>Parameters</h2><p class="soft">{note}</p>' + table(head, body, numeric=set(range(1, len(head) - 2)))
 
 
-def drift_section(drift: Rows, blocks: list[dict[str, Any]]) -> str:
+def drift_section(found: Mapping[str, Any], drift: Rows, blocks: list[dict[str, Any]]) -> str:
     if not drift:
         return ""
+    caption, views = f"{DRIFT} {still_said(drift)}{drift_said(found, drift)}", draw.drift_figures(drift)
+    return f"<h2>Drift from recording to recording</h2>{block('drift', caption, views, blocks, 'Parameter')}"
+
+
+def still_said(drift: Rows) -> str:
+    """How many values have no say, as their searches did not move; "" where all did."""
+    still = sum(int(draw.not_moved(rows).sum()) for rows in group(drift, lambda r: r["name"]).values())
+    said = f"Of {len(drift)} values {still} never left the start of their search (hollow) and have no say. "
+    return said if still else ""
+
+
+def drift_said(found: Mapping[str, Any], drift: Rows) -> str:
+    """Which parameters stand out, and what that is a sign of."""
     outside = sorted({r["name"] for r in drift if r["outside"]})
-    said = f" Standing out: {text(', '.join(outside))}." if outside else " None stands out."
-    views = draw.drift_figures(drift)
-    return f"<h2>Drift from recording to recording</h2>{block('drift', DRIFT + said, views, blocks, 'Parameter')}"
+    if not outside:
+        return "None stands out."
+    error = errors_of(found)
+    coarse = error.get("mesh", 0.0) > error.get("noise", 0.0)
+    sign = f"; {COARSE}" if coarse else ", which may be a sign of physics that the calibrated model lacks"
+    return f"Standing out: {text(', '.join(outside))}{sign}."
 
 
 def stage_section(found: Mapping[str, Any], stages: Rows, blocks: list[dict[str, Any]]) -> str:

@@ -233,11 +233,11 @@ def own_lacks(state: State) -> list[str]:
 def below_mesh(state: State) -> str:
     """That a small residual says nothing on a mesh which may be wrong by more than the noise."""
     unit = state.problem.evidence.unit
-    rms, mesh, noise = (
-        f"{unit.scale * e:.2g} {unit.reported}" for e in (state.final.rms, state.mesh, state.noise)
-    )
+    rms, mesh, noise = (f"{unit.scale * e:.2g} {unit.reported}" for e in (state.final.rms, state.mesh, state.noise))
     capped = state.mesh_left(state.final) < state.mesh
-    wrong_by = f"at least as much as is left above the noise, {noise}" if capped else f"{mesh}, beside a noise of {noise}"
+    wrong_by = (
+        f"at least as much as is left above the noise, {noise}" if capped else f"{mesh}, beside a noise of {noise}"
+    )
     return (
         f"what is left, {rms}, is below what this mesh can tell: it may be wrong by {wrong_by}; "
         "a finer one (resolution=NODES) or a model that converges sooner would tell whether anything else is missing"

@@ -163,8 +163,8 @@ def sentence(found: Mapping[str, Any]) -> str:
             return f"What {model} leaves is nothing above noise and mesh, but not all of it could be judged: {rest}"
         if not error["unexplained"] and error.get("mesh"):
             return (
-                f"What {model} leaves{left_where(error)} is no more than noise and its mesh account for, so that nothing "
-                f"is named: {rest}"
+                f"What {model} leaves{left_where(error)} is no more than noise and its mesh account for, so that "
+                f"nothing is named: {rest}"
             )
         if left_on(error) != split:
             return f"{model} leaves {beyond(error)}{left_where(error)} that no candidate explains; {rest}"
