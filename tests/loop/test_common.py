@@ -151,3 +151,15 @@ def test_what_could_not_be_judged_is_not_said_to_be_below_the_mesh():
     found["error_mm"]["held_out"]["before"] = None
     assert "not all of it could be judged" in sentence(found)
     assert "so that nothing is named" not in sentence(found)
+
+
+def test_models_that_leave_no_more_than_noise_and_mesh_are_told_so_and_each_by_its_own_numbers():
+    """The sentence had the best model's number for each, beside a hint that all leave what they have no name for."""
+    at_floor, above = verdict("a", after=0.55), verdict("b", after=2.0)
+    at_floor["unexplained_mm"] = 0.0
+    both = common_document([at_floor, at_floor | {"model": "b"}])
+    assert "What each of <b>a, b</b> leaves is no more than noise and its mesh account for" in sentence(both)
+    assert "a leaves no more than noise and mesh account for, and neither" in both["hint"]
+    one = common_document([at_floor, above])
+    assert sentence(one).startswith("None of a and b has a name for what it leaves: ")
+    assert "b leaves what it has no name for" in one["hint"]

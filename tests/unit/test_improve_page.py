@@ -190,6 +190,19 @@ def test_words_beside_bars_have_room():
     assert drawn["data"][0]["text"] == ["3.0 s, 7", "100.0 s, 7"]
 
 
+def test_where_most_is_left_in_time_says_whether_it_was_fitted():
+    """Beside a size on the recordings fitted, and a hint of these."""
+    frames = [{**r, "after": 3.0 if r["split"] == "held_out" else 1.0} for r in rows()["frames"]]
+    said = remains(verdict("attributed", EFFECT), {**rows(), "frames": frames})
+    assert "Largest in time at 0.00 s of b (held out): 3.00 mm." in said
+
+
+def test_candidates_that_beat_chance_are_not_all_said_to_be_fitted():
+    """Beside "is not among the 4 that promise most"."""
+    found = page_html(verdict("unexplained"), rows())
+    assert "Of those that beat chance the most promising were fitted in earnest" in found
+
+
 def test_what_remains_says_where_when_and_how():
     said = " ".join(remains(verdict("attributed", EFFECT), rows()))
     for word in ("0.50 mm beyond noise and mesh", "normal 75 %", "u = 0 mm, v = 0 mm", "0.00 s of a &lt;b&gt;"):

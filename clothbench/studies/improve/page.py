@@ -51,8 +51,8 @@ VIEWED = """ See a recording beside the model before and after:
 
 CANDIDATES = f"""<p class="soft">Share: how much of what the calibrated model leaves only this effect could explain, to
 first order. p: how often chance does as well with the best of all candidates; {LOOP.permutations} draws can tell no p
-below 1/{1 + LOOP.permutations}. Those that beat chance were fitted in earnest; the gain is by how much the mean square
-fell. Best in: of as many rounds with one recording left out.</p>"""
+below 1/{1 + LOOP.permutations}. Of those that beat chance the most promising were fitted in earnest; the gain is by how
+much the mean square fell. Best in: of as many rounds with one recording left out.</p>"""
 OWN = (
     "Amounts in a recording are its own: one that holds for all would not do. Those of a recording held out are fitted "
     "to it, while everything that is shared stays as the others have it; the interval is from parts of its time."
@@ -66,7 +66,7 @@ there are fewer drapes than captures.</p>"""
 DRIFT = """The calibrated model fitted to each recording alone. Line and band: all together, 95 % interval,
 about which single recordings scatter more widely. Diamonds stand out of the spread of all whose search moved (Grubbs'
 test, 5 % over all recordings and parameters)."""
-COARSE = """the mesh may be wrong by more than the noise, which moves parameters from recording to recording, too, so that
+COARSE = """the mesh may be wrong by more than the noise, which moves parameters from recording to recording, too:
 this is no sign of missing physics"""
 
 

@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from clothbench.display.html import group, text, unit
-from clothbench.studies.improve.common import LEAST, speaking
+from clothbench.studies.improve.common import LEAST, leaves_nothing, speaking
 from clothbench.studies.improve.figures import pooled
 from clothbench.studies.improve.settings import LOOP
-from clothbench.studies.improve.verdict import AT_LIMIT
+from clothbench.studies.improve.verdict import AT_LIMIT, listed
 
 Rows = Sequence[dict[str, Any]]
 MESHED = "noise and mesh"
@@ -161,11 +161,12 @@ def sentence(found: Mapping[str, Any]) -> str:
             return f"What {model} lacks is nothing that they have in common: {rest}"
         if found["hint"].startswith(AT_LIMIT) and split == "fit" and error["held_out"]["per_recording"]:
             return f"What {model} leaves is nothing above noise and mesh, but not all of it could be judged: {rest}"
+        if several and not all(map(leaves_nothing, several)):
+            return f"None of {text(listed([one['name'] for one in several]))} has a name for what it leaves: {rest}"
         if not error["unexplained"] and error.get("mesh"):
-            return (
-                f"What {model} leaves{left_where(error)} is no more than noise and its mesh account for, so that "
-                f"nothing is named: {rest}"
-            )
+            on = "" if several else left_where(error)
+            account = "no more than noise and its mesh account for"
+            return f"What {model} leaves{on} is {account}, so that nothing is named: {rest}"
         if left_on(error) != split:
             return f"{model} leaves {beyond(error)}{left_where(error)} that no candidate explains; {rest}"
         return f"{model} leaves {beyond(error)} that no candidate explains: {rest}"
@@ -231,4 +232,5 @@ def moment(frames: Rows) -> str:
     worst = max((r for r in frames if r["after"] is not None), key=lambda r: r["after"], default=None)
     if worst is None:
         return ""
-    return f"Largest in time at {worst['time']:.2f} s of {text(worst['recording'])}: {worst['after']:.2f} mm."
+    held = " (held out)" if worst["split"] == "held_out" else ""
+    return f"Largest in time at {worst['time']:.2f} s of {text(worst['recording'])}{held}: {worst['after']:.2f} mm."
