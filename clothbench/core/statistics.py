@@ -61,6 +61,13 @@ def standing_out(values: np.ndarray, level: float = 0.05) -> np.ndarray:
     return np.asarray(np.abs(values - values.mean()) > most * spread)
 
 
+def repeated(values: np.ndarray, known: float) -> np.ndarray:
+    """Which of N values (N,) are to the last digits what another one is, or what is known: no two searches come to one
+    number, so that these are where a search began, or a bound, and no estimates.
+    """
+    return np.asarray(np.isclose(values[:, None], [*values, known], rtol=1e-9, atol=0).sum(axis=1) > 1)
+
+
 def third_differences(at: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Third divided differences (M, …) of neighbouring samples (T, …) at places (T,) that rise, in units of their σ:
     what is smooth is hardly left. Samples with others missing between them, as far apart as twice as many

@@ -124,6 +124,13 @@ def test_where_nothing_is_in_common_the_best_calibrated_model_stands():
     assert (found["model"], found["error_mm"]["held_out"]["after"]) == ("b", 2.0)
 
 
+def test_a_calibrated_model_a_little_above_noise_and_mesh_leaves_nothing_beyond_them():
+    models = [verdict("a", "drag"), verdict("b", "hem")]
+    for found in models:
+        found["error_mm"]["fit"]["before"] = 0.6  # beside 0.54
+    assert common_document(models)["unexplained_mm"] == 0.0
+
+
 def test_one_model_that_lacks_nothing_says_nothing_in_common():
     found = common_document([verdict("a", word="complete"), verdict("b")])
     assert found["verdict"] == "unexplained"
@@ -143,4 +150,16 @@ def test_what_could_not_be_judged_is_not_said_to_be_below_the_mesh():
     found["unexplained_mm"] = 0.0
     found["error_mm"]["held_out"]["before"] = None
     assert "not all of it could be judged" in sentence(found)
-    assert "its mesh can tell" not in sentence(found)
+    assert "so that nothing is named" not in sentence(found)
+
+
+def test_models_that_leave_no_more_than_noise_and_mesh_are_told_so_and_each_by_its_own_numbers():
+    """The sentence had the best model's number for each, beside a hint that all leave what they have no name for."""
+    at_floor, above = verdict("a", after=0.55), verdict("b", after=2.0)
+    at_floor["unexplained_mm"] = 0.0
+    both = common_document([at_floor, at_floor | {"model": "b"}])
+    assert "What each of <b>a, b</b> leaves is no more than noise and its mesh account for" in sentence(both)
+    assert "a leaves no more than noise and mesh account for, and neither" in both["hint"]
+    one = common_document([at_floor, above])
+    assert sentence(one).startswith("None of a and b has a name for what it leaves: ")
+    assert "b leaves what it has no name for" in one["hint"]

@@ -344,6 +344,30 @@ def test_noise_of_single_recordings_is_no_drift():
     assert drifting([0.5, 0.5, 0.5]) == [False] * 3
 
 
+def drift_of(alone, joint):
+    """Which values (N, P) of N recordings, fitted alone from `joint` (P,), are told to stand out."""
+    units = [Parameter(f"p{k}", "p", "1", (0.0, 1.0), "linear", 0.1, "p", "") for k in range(len(joint))]
+    whole = SimpleNamespace(space=ParameterSpace(tuple(units)), theta=joint, low=joint - 0.01, high=joint + 0.01)
+    each = {f"r{k}": SimpleNamespace(theta=theta, at_bound=np.zeros(len(joint), bool)) for k, theta in enumerate(alone)}
+    rows = drift_rows(SimpleNamespace(calibrated=whole, alone=each))
+    return np.array([row["outside"] for row in rows]).reshape(alone.shape)
+
+
+def test_searches_that_did_not_move_are_no_spread_for_others_to_stand_out_of():
+    """A start that three kept, were it their estimate, would make any other value stand out."""
+    joint, start = np.array([0.5]), np.array([0.45])  # another round came to a better fit of all together
+    assert not drift_of(np.array([joint, joint, joint, [0.6]]), joint).any()
+    assert not drift_of(np.array([start, start, start, [0.6]]), joint).any()
+    alone = np.array([joint, [0.51], [0.49], [0.505], [0.9], [0.495]])
+    assert drift_of(alone, joint).ravel().tolist() == [False] * 4 + [True, False]
+
+
+def test_of_many_parameters_one_stands_out_by_chance_in_five_of_a_hundred():
+    random = np.random.default_rng(0)
+    told = [drift_of(0.5 + 0.05 * random.standard_normal((6, 8)), np.full(8, 0.5)).any() for _ in range(300)]
+    assert np.mean(told) == pytest.approx(0.05, abs=0.03)
+
+
 def test_squares_by_direction_add_up_on_a_sheared_sheet_with_gaps():
     random = np.random.default_rng(0)
     u, v = (a.ravel() for a in np.meshgrid(np.linspace(0, 0.3, 5), np.linspace(0, 0.3, 5)))

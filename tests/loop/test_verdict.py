@@ -66,9 +66,9 @@ def state():
 @pytest.mark.parametrize(
     ("held_out", "verdict", "left", "said"),
     [
-        ([1.2, 1.2], "complete", 0.46, "nothing is left"),
+        ([1.2, 1.2], "complete", 0.0, "nothing is left"),
         ([1.2, 2.2], "unexplained", 1.46, "at 1.8 times"),
-        ([1.2, np.nan], "unexplained", 0.46, "fourth, held out, could not be simulated"),
+        ([1.2, np.nan], "unexplained", 0.0, "fourth, held out, could not be simulated"),
     ],
 )
 def test_complete_is_what_carries_over_to_recordings_held_out(state, held_out, verdict, left, said):
@@ -84,13 +84,18 @@ def test_complete_is_what_carries_over_to_recordings_held_out(state, held_out, v
 def test_nothing_is_complete_where_the_mesh_may_be_wrong_by_more_than_the_noise(state):
     state.problem.of_split = lambda split: [SimpleNamespace(name=name) for name in ("third", "fourth")]
     base = fitted([np.full(9, 1.1e-3)] * 2)
+    barely = fitted([np.full(9, 1.25e-3)] * 2)  # a little above noise and mesh, which is no more than they account for
     coarse = replace(state, base=base, final=base, noise=0.5e-3, mesh=1e-3)
     assert coarse.floor == pytest.approx(np.hypot(0.5e-3, 1e-3))
     found = concluded(coarse, [1.2e-3, 1.2e-3])
     assert found.word == "unexplained"
-    assert (
-        "1.1 mm, is below what this mesh can tell: it may be wrong by 0.98 mm, beside a noise of 0.5 mm" in found.hint
-    )
+    # That the mesh is wrong by 0.98 mm is not known: it is what is left above the noise, and the mesh may do more.
+    below = "is below what this mesh can tell: it may be wrong by"
+    assert f"1.1 mm, {below} at least as much as is left above the noise, 0.5 mm;" in found.hint
+    hint = concluded(replace(coarse, base=barely, final=barely), [1.2e-3, 1.2e-3]).hint
+    assert f"{below} 1 mm, beside a noise of 0.5 mm" in hint
+    assert found.unexplained == 0.0
+    assert concluded(replace(coarse, base=barely, final=barely), [1.2e-3, 1.2e-3]).unexplained == 0.0
     finer = concluded(replace(coarse, noise=1e-3, mesh=0.9e-3), [1.2e-3, 1.2e-3])
     assert finer.word == "complete"
 
@@ -269,6 +274,16 @@ def test_what_is_held_out_is_told_beside_noise_and_mesh_together(state):
     coarse = replace(state, base=base, final=base, noise=1e-3, mesh=0.9e-3)
     assert concluded(coarse, [2.0e-3]).word == "complete"  # 1.5 times √(1² + 0.9²) is 2.02
     assert concluded(coarse, [2.1e-3]).word == "unexplained"
+
+
+def test_what_a_coarse_mesh_hides_on_fitted_recordings_only_is_not_told_as_hidden(state):
+    """Recordings held out stand at eight times noise and mesh together: that is what the verdict has to say."""
+    state.problem.of_split = lambda split: [SimpleNamespace(name="third")]
+    base = fitted([np.full(9, 1.1e-3)] * 2)
+    found = concluded(replace(state, base=base, final=base, noise=0.5e-3, mesh=1e-3), [9e-3])
+    assert found.word == "unexplained"
+    assert "the error on held-out recordings stands at 8.0 times that" in found.hint
+    assert 1e3 * found.unexplained == pytest.approx((81 - 0.25 - 1.1**2 + 0.25) ** 0.5, abs=0.1)
 
 
 def test_what_is_unexplained_lies_above_noise_and_mesh(state):

@@ -15,6 +15,7 @@ from clothbench.studies.improve.figures import stage_figure
 from clothbench.studies.improve.missing_page import balance_section
 from clothbench.studies.improve.page import page_html
 from clothbench.studies.improve.schema import IMPROVE_TABLES
+from clothbench.studies.improve.terminal import verdict_lines
 from clothbench.studies.improve.words import chance, p_is, remains, sentence, sham
 
 NOTHING = {name: [] for name in IMPROVE_TABLES}
@@ -189,6 +190,19 @@ def test_words_beside_bars_have_room():
     assert drawn["data"][0]["text"] == ["3.0 s, 7", "100.0 s, 7"]
 
 
+def test_where_most_is_left_in_time_says_whether_it_was_fitted():
+    """Beside a size on the recordings fitted, and a hint of these."""
+    frames = [{**r, "after": 3.0 if r["split"] == "held_out" else 1.0} for r in rows()["frames"]]
+    said = remains(verdict("attributed", EFFECT), {**rows(), "frames": frames})
+    assert "Largest in time at 0.00 s of b (held out): 3.00 mm." in said
+
+
+def test_candidates_that_beat_chance_are_not_all_said_to_be_fitted():
+    """Beside "is not among the 4 that promise most"."""
+    found = page_html(verdict("unexplained"), rows())
+    assert "Of those that beat chance the most promising were fitted in earnest" in found
+
+
 def test_what_remains_says_where_when_and_how():
     said = " ".join(remains(verdict("attributed", EFFECT), rows()))
     for word in ("0.50 mm beyond noise and mesh", "normal 75 %", "u = 0 mm, v = 0 mm", "0.00 s of a &lt;b&gt;"):
@@ -213,7 +227,20 @@ def test_noise_and_mesh_stand_apart_and_neither_is_called_a_floor():
     lines = blocks(text)["frames"]["b (held out)"][0]["data"]
     assert {line["meta"]: line["y"][0] for line in lines[2:]} == {"noise": 1.0, "noise and mesh": 1.72}
     below = sentence(on_a_mesh("unexplained", unexplained_mm=0.0))
-    assert below.startswith("What <b>springs</b> leaves is less than its mesh can tell")
+    said = (
+        "What <b>springs</b> leaves on the recordings fitted (4.75 mm) is no more than noise and its mesh account for"
+    )
+    assert below.startswith(said)
+
+
+def test_all_that_is_left_is_not_told_as_the_size_of_the_mesh_s_error():
+    """Of the mesh no more is counted than is left: it may be wrong by more."""
+    found = on_a_mesh("unexplained", unexplained_mm=0.0)
+    found["error_mm"] |= {"mesh": (4.75**2 - 1) ** 0.5, "noise_floor": 4.75}
+    assert "the mesh may be wrong by at least as much as the fit leaves above that (4.64 mm)" in sentence(found)
+    assert "<b>≥ 4.64</b>mm that the mesh may be wrong by" in page_html(found, rows())
+    assert "(no more of the mesh than the fit leaves), below which this mesh tells nothing" in page_html(found, rows())
+    assert "<b>≥" not in page_html(on_a_mesh("attributed", EFFECT), rows())
 
 
 @pytest.mark.parametrize(
@@ -257,6 +284,38 @@ def test_every_family_of_effects_has_a_picture_and_no_other():
     assert drawing("tarot", "a stranger's") == ""
     assert '<svg class="sketch"' in page_html(verdict("attributed", {**EFFECT, "family": "clock"}), rows())
     assert '<svg class="sketch"' not in page_html(verdict("attributed", EFFECT), rows())
+
+
+def test_drift_is_a_sign_only_where_the_mesh_is_fine_enough_and_searches_moved():
+    (first,) = rows()["drift"]
+    kept = {"value": first["joint"]}  # of a search that never left its start
+    drift = [first | {"recording": n, **more} for n, more in zip("abc", ({"outside": True}, kept, kept), strict=True)]
+    coarse = page_html(on_a_mesh("unexplained"), {**rows(), "drift": drift})
+    assert "Of 3 values 2 never left the start of their search (hollow) and have no say. Standing out: k;" in coarse
+    assert "no sign of missing physics" in coarse.replace("\n", " ")
+    found = on_a_mesh("unexplained")
+    found["error_mm"]["mesh"] = 0.9
+    fine = page_html(found, {**rows(), "drift": drift})
+    assert "Standing out: k, which may be a sign of physics that the calibrated model lacks." in fine
+    assert blocks(fine)["drift"]["k"][0]["data"][-1]["marker"]["symbol"] == ["diamond", "circle-open", "circle-open"]
+    still = page_html(found, {**rows(), "drift": [first]})
+    assert "None stands out" in still
+    assert "never left" not in still
+
+
+def test_more_than_elsewhere_is_said_of_what_is_more_alone():
+    """Beyond chance, yet by a hundredth of the whole: "1 times" is told by neither terminal nor page."""
+    row = {"kind": "where", "rms": 1.0, "unit": "mm", "p_value": 0.01}
+    parts = (("upper left", 1.126), ("lower right", 1.04), ("lower left", 1.5))
+    told = [{**row, "part": part, "ratio": ratio} for part, ratio in parts]
+    told[2]["p_value"] = 0.2
+    lines = list(verdict_lines(verdict("complete", whereabouts=told)))
+    assert "more is left than elsewhere: upper left (1.13 times the whole)" in lines
+    page = page_html(verdict("complete"), {**NOTHING, "whereabouts": told})
+    assert page.count(">more than elsewhere<") == 1
+    assert 'upper left <span class="pill note">more than elsewhere' in page
+    none = verdict_lines(verdict("complete", whereabouts=told[1:]))
+    assert not any(line.startswith("more is left") for line in none)
 
 
 def test_durations():

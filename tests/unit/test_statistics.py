@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from clothbench.core.statistics import jackknife_half_width, standing_out, t_interval, uncut_half
+from clothbench.core.statistics import jackknife_half_width, repeated, standing_out, t_interval, uncut_half
 from clothbench.engine.judgement import half
 
 
@@ -43,3 +43,10 @@ def test_half_of_an_interval_that_is_cut_at_0_is_its_longer_side():
     assert uncut_half(5.0, 3.0, 7.0) == 2.0
     assert half({"value": 1.0, "low": 0.0, "high": 3.0}) == 2.0
     assert half({"value": 1.0, "low": None, "high": None}) == 0.0
+
+
+def test_values_that_no_search_came_to_are_told_by_being_the_same_to_the_last_digits():
+    values = np.array([2.0, 3.0, 3.0 * (1 + 1e-14), 2.5, 4.0])
+    assert repeated(values, 2.0 * (1 - 1e-14)).tolist() == [True, True, True, False, False]
+    assert not repeated(np.array([1.0, 1.0 + 1e-6]), 0.0).any()
+    assert repeated(np.zeros(0), 1.0).tolist() == []

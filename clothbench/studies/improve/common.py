@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from clothbench.engine.cells import digest
+from clothbench.studies.improve.verdict import left_beyond
 
 Document = dict[str, Any]
 LEAST = 2  # models that have something to say, from which on something is in common
@@ -46,7 +47,7 @@ def without_names(found: Document) -> Document:
     out = found | {name: calibrated(found[name]) for name in ("error_mm", "error") if name in found}
     for name, error in (("unexplained_mm", out["error_mm"]), ("unexplained", out.get("error"))):
         if found.get(name) is not None and error is not None:
-            out[name] = max(error["fit"]["before"] ** 2 - error["noise_floor"] ** 2, 0.0) ** 0.5
+            out[name] = left_beyond(error["fit"]["before"], error["noise_floor"])
     return out
 
 
@@ -152,11 +153,18 @@ def hint(documents: Sequence[Document], word: str) -> str:
         said.insert(0, f"{' and '.join(complete)} lacks nothing" if word == "complete" else "")
     for found in documents:
         if found["verdict"] == "unexplained":
-            said.append(f"{found['model']} leaves what it has no name for, and neither bears a name out nor speaks "
-                        "against it")  # fmt: skip
+            what = "no more than noise and mesh account for" if leaves_nothing(found) else "what it has no name for"
+            said.append(f"{found['model']} leaves {what}, and neither bears a name out nor speaks against it")
     if len(heard) < LEAST:
         said.append(f"fewer than {LEAST} models have something to say, so that nothing is known to be in common")
     return "; ".join(filter(None, said))
+
+
+def leaves_nothing(found: Mapping[str, Any]) -> bool:
+    """Whether noise and mesh account for all that a model leaves on the recordings fitted."""
+    error = found.get("error") or found["error_mm"]
+    after = error["fit"]["after"]
+    return after is not None and left_beyond(after, error["noise_floor"]) == 0.0
 
 
 def lacks(found: Mapping[str, Any], names: set[str]) -> bool:

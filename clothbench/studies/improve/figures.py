@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from clothbench.core.statistics import repeated
 from clothbench.display.html import group
 from clothbench.display.plotly import COLOURS, GREY, rounded, thinned
 
@@ -190,6 +191,11 @@ def curve_figures(curves: Rows, changed: bool) -> dict[str, list[Figure]]:
     return out
 
 
+def not_moved(mine: Rows) -> np.ndarray:
+    """Which of the values of one parameter, fitted to single recordings, a search never left."""
+    return repeated(np.array([r["value"] for r in mine]), mine[0]["joint"])
+
+
 def drift_figures(drift: Rows) -> dict[str, list[Figure]]:
     """Each parameter as fitted to single recordings, beside the joint value and its interval."""
     out = {}
@@ -203,7 +209,9 @@ def drift_figures(drift: Rows) -> dict[str, list[Figure]]:
         unit = "" if first["unit"] == "1" else f" {first['unit']}"
         data.append(curve([first["joint"]] * 2, ends, BEFORE, f"all together: %{{x}}{unit}"))
         marks = curve([r["value"] for r in mine], list(range(len(mine))), AFTER, f"alone: %{{x}}{unit}", "markers")
-        marks["marker"] |= {"size": 10, "symbol": ["diamond" if r["outside"] else "circle" for r in mine]}
+        looks = zip(mine, not_moved(mine), strict=True)
+        symbols = ["diamond" if r["outside"] else "circle-open" if still else "circle" for r, still in looks]
+        marks["marker"] |= {"size": 10, "symbol": symbols}
         data.append({**marks, "meta": "alone"})
         y_axis = {"tickvals": list(range(len(mine))), "ticktext": [escape(r["recording"]) for r in mine],
                   "automargin": True, "showgrid": False, "range": ends}  # fmt: skip

@@ -58,7 +58,7 @@ class Finding:
     hint: what the reader may want to know or do next;
     noise: of the recordings;
     mesh: what the model's mesh may still be wrong by;
-    unexplained: what is left above the floor;
+    unexplained: what is left above the floor; 0 of what is no more than noise and mesh account for;
     calibrated: the fit of the base;
     final: the fit that the verdict stands by, with what was named, or the calibrated one;
     rounds: of the loop, in turn;

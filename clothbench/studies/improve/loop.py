@@ -118,7 +118,9 @@ def in_best_valley(problem: Problem, fitted: Fitted, account: Account) -> Fitted
 
 
 def each_alone(problem: Problem, base: Fitted, account: Account) -> dict[str, Fitted]:
-    """The base fitted to each recording by itself: parameters that drift say that physics is missing."""
+    """The base fitted to each recording by itself: on a mesh that is fine enough, parameters that drift may be a sign
+    of missing physics.
+    """
     out, cases = {}, problem.of_split("fit")
     account.stage("each recording alone", 0, len(cases))
     questions = [(problem.restricted(case), (), base.theta, LOOP.single_rounds) for case in cases]

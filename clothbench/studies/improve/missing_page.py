@@ -8,7 +8,7 @@ from typing import Any
 from clothbench.display.html import interval, table, text, unit
 from clothbench.studies.improve import figures as draw
 from clothbench.studies.improve.settings import LOOP
-from clothbench.studies.improve.words import chance, p_is, size
+from clothbench.studies.improve.words import MORE, chance, more_is_left, p_is, size
 
 Rows = Sequence[dict[str, Any]]
 DESCRIBED = """A description, not a name: a force per area that acts on the cloth from outside, from the balance of
@@ -16,11 +16,11 @@ torques about the grips, an identity of mechanics that needs no model. n: normal
 the upper edge down to H, g: gravity."""
 BALANCE = """Weight and inertia of the cloth as it was seen, about the line of its grips, have to balance what acts
 from outside, whatever the cloth is made of and whatever a model makes of it."""
-WHEREABOUTS = """Rms of what is left, and how many times that of the whole: recording by recording, of which the mean
+WHEREABOUTS = f"""Rms of what is left, and how many times that of the whole: recording by recording, of which the mean
 is told (of parts of the cloth the geometric mean, of phases that of the mean squares), which need not be the ratio of
 two numbers of this page. p, of a part of the cloth: how often it would be above the rest in recording after recording
 by chance; of a phase: how often as much would be left in it of the same residual moved round in time, the best of all
-phases."""
+phases. More than elsewhere: p below {LOOP.significance}, and {MORE} times the whole or more."""
 
 
 def description_section(found: Mapping[str, Any] | None) -> str:
@@ -65,7 +65,7 @@ def whereabouts_section(rows: Rows) -> str:
         return ""
     body = []
     for r in sorted(rows, key=lambda r: (r["kind"] != "where", r["p_value"], -r["ratio"])):
-        mark = ' <span class="pill note">more than elsewhere</span>' if r["p_value"] < LOOP.significance else ""
+        mark = ' <span class="pill note">more than elsewhere</span>' if more_is_left(r) else ""
         p_value = chance(r["p_value"]) if r["kind"] == "when" else f"{r['p_value']:.2g}"
         body.append([text(r["part"]) + mark, f"{size(r['rms'], r['unit'])}", f"{r['ratio']:.2f}", p_value])
     head = ["part or phase", f"left, rms [{rows[0]['unit']}]", "times the whole", "p"]

@@ -30,6 +30,8 @@ from clothbench.studies.improve.words import (
     errors_of,
     left_on,
     limits,
+    mesh_is_capped,
+    mesh_size,
     p_is,
     remains,
     sentence,
@@ -49,8 +51,8 @@ VIEWED = """ See a recording beside the model before and after:
 
 CANDIDATES = f"""<p class="soft">Share: how much of what the calibrated model leaves only this effect could explain, to
 first order. p: how often chance does as well with the best of all candidates; {LOOP.permutations} draws can tell no p
-below 1/{1 + LOOP.permutations}. Those that beat chance were fitted in earnest; the gain is by how much the mean square
-fell. Best in: of as many rounds with one recording left out.</p>"""
+below 1/{1 + LOOP.permutations}. Of those that beat chance the most promising were fitted in earnest; the gain is by how
+much the mean square fell. Best in: of as many rounds with one recording left out.</p>"""
 OWN = (
     "Amounts in a recording are its own: one that holds for all would not do. Those of a recording held out are fitted "
     "to it, while everything that is shared stays as the others have it; the interval is from parts of its time."
@@ -62,8 +64,10 @@ CAPTURES = """<p class="soft">Drapes that are laid on anew fold anew. Where capt
 alike beyond chance (p), folds are remembered or the cloth was not laid on anew, which pictures cannot tell apart: then
 there are fewer drapes than captures.</p>"""
 DRIFT = """The calibrated model fitted to each recording alone. Line and band: all together, 95 % interval,
-about which single recordings scatter more widely. Diamonds stand out of the spread of all that were fitted alone
-(Grubbs' test, 5 % over all recordings): a parameter that drifts so is a sign of missing physics."""
+about which single recordings scatter more widely. Diamonds stand out of the spread of all whose search moved (Grubbs'
+test, 5 % over all recordings and parameters)."""
+COARSE = """the mesh may be wrong by more than the noise, which moves parameters from recording to recording, too:
+this is no sign of missing physics"""
 
 
 def page_html(found: Mapping[str, Any], tables: Tables) -> str:
@@ -87,7 +91,7 @@ def page_html(found: Mapping[str, Any], tables: Tables) -> str:
         direction_section(found, tables["portrait"], blocks),
         against_section(found, tables["against"], blocks),
         parameter_section(tables["parameters"], bool(found["effects"]), found.get("condition")),
-        drift_section(tables["drift"], blocks),
+        drift_section(found, tables["drift"], blocks),
         stage_section(found, tables["stages"], blocks),
         remains_section(found, tables),
     ]
@@ -111,7 +115,7 @@ def common_html(found: Mapping[str, Any]) -> str:
             [f'<a href="cells/{one["key"]}/index.html">{text(one["name"])}</a>', text(one["verdict"]),
              text(", ".join(entry["name"] for entry in one["effects"]) + own),
              " → ".join(size(error[split][fit], error["unit"]) for fit in ("before", "after")) + f" {error['unit']}",
-             size(error["noise"], error["unit"]), size(error["mesh"], error["unit"])]
+             size(error["noise"], error["unit"]), mesh_size(error)]
         )  # fmt: skip
     heads = ["model", "verdict", "lacks", "error before → after", "noise", "mesh"]
     parts = [
@@ -172,7 +176,7 @@ def tiles(found: Mapping[str, Any]) -> str:
     (noise, alone), *_ = limits(error)
     shown.append((size(alone, unit), f"{unit}, {noise} alone"))
     if error.get("mesh"):
-        shown.append((size(error["mesh"], unit), f"{unit} that the mesh may be wrong by"))
+        shown.append((mesh_size(error), f"{unit} that the mesh may be wrong by"))
     left, _, words = beyond(error).partition(" ")
     split = f", {left_on(error).replace('_', ' ')}" if error["held_out"]["before"] is not None else ""
     shown.append((left, f"{words} remain{split}"))
@@ -188,7 +192,8 @@ def error_section(found: Mapping[str, Any], errors: Rows, blocks: list[dict[str,
     caption = f"Root-mean-square over {over}. Dots: recordings that were fitted; diamonds: held out, never fitted, "
     known = [name for name, _ in limits(error)]
     caption += f"which decide only whether the verdict stands. Grey line: {known[0]} alone"
-    caption += f"; dotted: {known[1]}, below which this mesh tells nothing." if len(known) > 1 else "."
+    much = " (no more of the mesh than the fit leaves)" if mesh_is_capped(error) else ""
+    caption += f"; dotted: {known[1]}{much}, below which this mesh tells nothing." if len(known) > 1 else "."
     fall = error["held_out"]["ci95"]
     if found["effects"] and fall[0] is not None:
         low, high = (size(v, error["unit"]) for v in fall)
@@ -349,13 +354,29 @@ def parameter_section(rows: Rows, changed: bool, condition: float | None) -> str
     return f'<h2>Parameters</h2><p class="soft">{note}</p>' + table(head, body, numeric=set(range(1, len(head) - 2)))
 
 
-def drift_section(drift: Rows, blocks: list[dict[str, Any]]) -> str:
+def drift_section(found: Mapping[str, Any], drift: Rows, blocks: list[dict[str, Any]]) -> str:
     if not drift:
         return ""
+    caption, views = f"{DRIFT} {still_said(drift)}{drift_said(found, drift)}", draw.drift_figures(drift)
+    return f"<h2>Drift from recording to recording</h2>{block('drift', caption, views, blocks, 'Parameter')}"
+
+
+def still_said(drift: Rows) -> str:
+    """How many values have no say, as their searches did not move; "" where all did."""
+    still = sum(int(draw.not_moved(rows).sum()) for rows in group(drift, lambda r: r["name"]).values())
+    said = f"Of {len(drift)} values {still} never left the start of their search (hollow) and have no say. "
+    return said if still else ""
+
+
+def drift_said(found: Mapping[str, Any], drift: Rows) -> str:
+    """Which parameters stand out, and what that is a sign of."""
     outside = sorted({r["name"] for r in drift if r["outside"]})
-    said = f" Standing out: {text(', '.join(outside))}." if outside else " None stands out."
-    views = draw.drift_figures(drift)
-    return f"<h2>Drift from recording to recording</h2>{block('drift', DRIFT + said, views, blocks, 'Parameter')}"
+    if not outside:
+        return "None stands out."
+    error = errors_of(found)
+    coarse = error.get("mesh", 0.0) > error.get("noise", 0.0)
+    sign = f"; {COARSE}" if coarse else ", which may be a sign of physics that the calibrated model lacks"
+    return f"Standing out: {text(', '.join(outside))}{sign}."
 
 
 def stage_section(found: Mapping[str, Any], stages: Rows, blocks: list[dict[str, Any]]) -> str:

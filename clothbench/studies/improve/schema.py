@@ -59,7 +59,7 @@ ASYMMETRY = {
 }  # fmt: skip
 STAGE = {"stage": _text, "wall_s": _number, "evaluations": _whole}
 # value: fitted to this recording alone; joint, low, high: fitted to all together, with its 95 % interval; outside:
-# whether it stands out of the spread of those fitted alone.
+# whether it stands out of the spread of those fitted alone whose searches moved.
 DRIFT = {
     "recording": _text, "name": _text, "symbol": _text, "unit": _text, "scale": _text, "value": _number,
     "at_bound": _flag, "joint": _number, "low": _number, "high": _number, "outside": _flag,

@@ -7,13 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from clothbench.core.statistics import standing_out
+from clothbench.core.statistics import repeated, standing_out
 from clothbench.engine.tables import finite
 from clothbench.studies.improve.document import why_not
 from clothbench.studies.improve.evidence import Rows, of_split
 from clothbench.studies.improve.finding import Finding
 from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.schema import IMPROVE_TABLES
+
+DRIFT_LEVEL = 0.05  # probability that by chance any parameter of any recording is told to stand out
 
 
 def finding_tables(finding: Finding) -> Mapping[str, Rows]:
@@ -92,12 +94,16 @@ def stage_rows(finding: Finding) -> Rows:
 
 def drift_rows(finding: Finding) -> Rows:
     """Each recording's own fit beside the joint one, whose interval is that of a mean: a single recording drifts where
-    it stands out of the spread of single ones.
+    it stands out of the spread of single ones. All parameters are asked about at once, so that each pays for all.
     """
     joint = finding.calibrated
     rows: list[dict[str, Any]] = []
-    alone = np.array([joint.space.to_unit(fitted.theta) for fitted in finding.alone.values()])
-    drifts = np.apply_along_axis(standing_out, 0, alone) if alone.size else np.zeros(alone.shape, dtype=bool)
+    theta = np.array([fitted.theta for fitted in finding.alone.values()])
+    drifts = np.zeros(theta.shape, dtype=bool)
+    for i, column in enumerate(theta.T):
+        moved = ~repeated(column, float(joint.theta[i]))
+        alone = np.array([joint.space.to_unit(one)[i] for one in theta[moved]])
+        drifts[moved, i] = standing_out(alone, DRIFT_LEVEL / theta.shape[1])
     for (recording, fitted), drifting in zip(finding.alone.items(), drifts, strict=True):
         at_bound = fitted.at_bound
         for i, p in enumerate(joint.space):

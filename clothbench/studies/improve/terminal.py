@@ -7,8 +7,7 @@ from typing import Any
 
 from clothbench.engine.study import Results
 from clothbench.studies.improve.document import document_in
-from clothbench.studies.improve.settings import LOOP
-from clothbench.studies.improve.words import errors_of, limit_line, p_is, size
+from clothbench.studies.improve.words import errors_of, limit_line, more_is_left, p_is, size
 
 
 def show(results: Results) -> Iterator[str]:
@@ -49,8 +48,8 @@ def verdict_lines(found: Mapping[str, Any]) -> Iterator[str]:
     if balance := found.get("balance"):
         shares = ", ".join(f"{what} {share:.0%}" for what, share in balance["shares"].items())
         yield f"without any model, the torque about the grips goes with {shares} (on recordings left out)"
-    if telling := [row for row in found.get("whereabouts", ()) if row["p_value"] < LOOP.significance]:
-        places = ", ".join(f"{row['part']} ({row['ratio']:.2g} times)" for row in telling)
+    if telling := [row for row in found.get("whereabouts", ()) if more_is_left(row)]:
+        places = ", ".join(f"{row['part']} ({row['ratio']:.2f} times the whole)" for row in telling)
         yield f"more is left than elsewhere: {places}"
     if found["hint"]:
         yield f"hint: {found['hint']}"

@@ -34,7 +34,7 @@ class Conclusion:
 
     word: "complete", "attributed", "tied" or "unexplained";
     fit: what the verdict stands by: with what was named, or the calibrated model if nothing was;
-    unexplained: what is left above the floor, base unit;
+    unexplained: what is left above the floor, base unit; 0 of what is no more than noise and mesh account for;
     hint: in one or two sentences;
     dropped: why what was named is no finding after all, or "".
     """
@@ -66,7 +66,7 @@ def concluded(
     if word == "complete" and stopped:
         word = "unexplained"
         remark = f"{AT_LIMIT}, but {stopped[0]}, held out, could not be simulated with it"
-    elif word == "complete" and unseen > state.problem.evidence.search.generalisation * state.floor:
+    elif not state.final.effects and at_floor(state) and beyond_fitted(state, unseen):
         word, rms = "unexplained", unseen
         remark = (
             f"{AT_LIMIT}, but the error on held-out recordings stands at {unseen / state.floor:.1f} times that: "
@@ -76,8 +76,13 @@ def concluded(
         word, remark = "unexplained", f"{AT_LIMIT}, but no candidate was tried"
     if timed_out:
         remark = "; ".join(filter(None, (remark, "time ran out before another round")))
-    unexplained = max(rms**2 - state.noise**2 - state.mesh_left(fit) ** 2, 0.0) ** 0.5
+    unexplained = left_beyond(rms, float(np.hypot(state.noise, state.mesh_left(fit))))
     return Conclusion(word, fit, unexplained, remark, why_dropped(state, worse) if state.final is not fit else "")
+
+
+def beyond_fitted(state: State, unseen: float) -> bool:
+    """Whether the calibrated model does not carry over. unseen: its error on recordings held out, base unit."""
+    return unseen > state.problem.evidence.search.generalisation * state.floor
 
 
 def fails_to_hold(before: Sequence[float], after: Sequence[float], own: int = 0) -> bool:
@@ -146,6 +151,13 @@ def witnessed(state: State) -> bool:
 def at_floor(state: State) -> bool:
     """Whether what is left is no more than noise and mesh account for."""
     return state.final.rms <= LOOP.floor_factor * state.floor
+
+
+def left_beyond(rms: float, floor: float) -> float:
+    """What of an error noise and mesh do not account for: nothing of one that the verdict takes for nothing, which may
+    be a little above the floor.
+    """
+    return 0.0 if rms <= LOOP.floor_factor * floor else float((rms**2 - floor**2) ** 0.5)
 
 
 def share_left(state: State) -> float:
@@ -221,11 +233,13 @@ def own_lacks(state: State) -> list[str]:
 def below_mesh(state: State) -> str:
     """That a small residual says nothing on a mesh which may be wrong by more than the noise."""
     unit = state.problem.evidence.unit
-    rms, mesh, noise = (
-        f"{unit.scale * e:.2g} {unit.reported}" for e in (state.final.rms, state.mesh_left(state.final), state.noise)
+    rms, mesh, noise = (f"{unit.scale * e:.2g} {unit.reported}" for e in (state.final.rms, state.mesh, state.noise))
+    capped = state.mesh_left(state.final) < state.mesh
+    wrong_by = (
+        f"at least as much as is left above the noise, {noise}" if capped else f"{mesh}, beside a noise of {noise}"
     )
     return (
-        f"what is left, {rms}, is below what this mesh can tell: it may be wrong by {mesh}, beside a noise of {noise}; "
+        f"what is left, {rms}, is below what this mesh can tell: it may be wrong by {wrong_by}; "
         "a finer one (resolution=NODES) or a model that converges sooner would tell whether anything else is missing"
     )
 

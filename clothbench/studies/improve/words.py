@@ -7,14 +7,15 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from clothbench.display.html import group, text, unit
-from clothbench.studies.improve.common import LEAST, speaking
+from clothbench.studies.improve.common import LEAST, leaves_nothing, speaking
 from clothbench.studies.improve.figures import pooled
 from clothbench.studies.improve.settings import LOOP
-from clothbench.studies.improve.verdict import AT_LIMIT
+from clothbench.studies.improve.verdict import AT_LIMIT, listed
 
 Rows = Sequence[dict[str, Any]]
 MESHED = "noise and mesh"
 SAME = 0.02  # share of an error that is no change of it
+MORE = 1.1  # times as much as is left of the whole, from which on a part or a phase is said to have more
 WHITE = 0.3  # correlation of one frame with the next below which a residual looks like noise
 
 
@@ -56,8 +57,21 @@ def limit_line(error: Mapping[str, Any]) -> str:
     unit = error["unit"]
     if error.get("mesh"):
         noise, mesh = (size(error[name], unit) for name in ("noise", "mesh"))
-        return f"noise alone would give {noise} {unit}, and the mesh may be wrong by {mesh} {unit}"
+        least = f"at least as much as the fit leaves above that ({mesh} {unit})"
+        wrong_by = least if mesh_is_capped(error) else f"{mesh} {unit}"
+        return f"noise alone would give {noise} {unit}, and the mesh may be wrong by {wrong_by}"
     return f"the {noise_word(error)} alone would give {size(error['noise_floor'], unit)} {unit}"
+
+
+def mesh_is_capped(error: Mapping[str, Any]) -> bool:
+    """Whether the mesh may be wrong by more than is left above the noise, which is all of it that verdicts count."""
+    after = error["fit"]["after"]
+    return bool(error.get("mesh")) and after is not None and math.isclose(after, error["noise_floor"], rel_tol=1e-9)
+
+
+def mesh_size(error: Mapping[str, Any]) -> str:
+    """What the mesh may be wrong by: "0.74", "≥ 10.67" """
+    return ("≥ " if mesh_is_capped(error) else "") + size(error["mesh"], error["unit"])
 
 
 def beyond(error: Mapping[str, Any]) -> str:
@@ -92,6 +106,11 @@ def p_is(p_value: float, draws: int = LOOP.permutations) -> str:
     """ "p = 0.03", "p ≤ 1/200" """
     said = chance(p_value, draws)
     return f"p {said}" if said.startswith("≤") else f"p = {said}"
+
+
+def more_is_left(row: Mapping[str, Any]) -> bool:
+    """Whether a row of `whereabouts` is beyond chance, and enough for it to be said."""
+    return bool(row["p_value"] < LOOP.significance and row["ratio"] >= MORE)
 
 
 def sham(error: Mapping[str, Any]) -> str:
@@ -142,8 +161,12 @@ def sentence(found: Mapping[str, Any]) -> str:
             return f"What {model} lacks is nothing that they have in common: {rest}"
         if found["hint"].startswith(AT_LIMIT) and split == "fit" and error["held_out"]["per_recording"]:
             return f"What {model} leaves is nothing above noise and mesh, but not all of it could be judged: {rest}"
+        if several and not all(map(leaves_nothing, several)):
+            return f"None of {text(listed([one['name'] for one in several]))} has a name for what it leaves: {rest}"
         if not error["unexplained"] and error.get("mesh"):
-            return f"What {model} leaves is less than its mesh can tell, so that nothing is named: {rest}"
+            on = "" if several else left_where(error)
+            account = "no more than noise and its mesh account for"
+            return f"What {model} leaves{on} is {account}, so that nothing is named: {rest}"
         if left_on(error) != split:
             return f"{model} leaves {beyond(error)}{left_where(error)} that no candidate explains; {rest}"
         return f"{model} leaves {beyond(error)} that no candidate explains: {rest}"
@@ -209,4 +232,5 @@ def moment(frames: Rows) -> str:
     worst = max((r for r in frames if r["after"] is not None), key=lambda r: r["after"], default=None)
     if worst is None:
         return ""
-    return f"Largest in time at {worst['time']:.2f} s of {text(worst['recording'])}: {worst['after']:.2f} mm."
+    held = " (held out)" if worst["split"] == "held_out" else ""
+    return f"Largest in time at {worst['time']:.2f} s of {text(worst['recording'])}{held}: {worst['after']:.2f} mm."
