@@ -49,6 +49,7 @@ from clothbench_models.implicit_step import (
     follow_grips,
     moved_on,
     rest_on,
+    see_ahead,
     slip,
     step_before,
 )
@@ -232,9 +233,10 @@ def _march_implicit(
             carry(obstacles, grips.knots, grips.curve, start, t, dt)
             rest_on(guess, x, v, x_bar, gamma, dt, obstacles, free, touch, normal, friction, on, z, q)
         moved_on(x_bar, gamma, guess, q)
+        see_ahead(EULER if settling else scheme, guess, v, v_old, touch, z)
         f[:] = 0.0
         step = dt if not settling else min(h, dt)
-        heavier = add_outer(t, step, q, guess, f, nu, air, sheet, effects, terms, terms.state, extra, grips, segment)
+        heavier = add_outer(t, step, q, z, f, nu, air, sheet, effects, terms, terms.state, extra, grips, segment)
         elastic(q, guess, f, nu, membrane, plate, stiffer[0], gamma * gamma, gamma, edges, shear, work)
         for c in range(3):
             for e in range(n):

@@ -16,7 +16,7 @@ EULER, BDF2 = 0, 1
 @lean_kernel
 def extrapolate(scheme, dt, x, v, x_old, v_old, stiffer, x_bar, v_bar, guess):
     """Fill x̄, v̄ and the guess of v' (3, n); returns γ [s]. stiffer (2,): what effects add to the stiffness, which the
-    matrix only bounds; then nothing is extrapolated.
+    matrix only bounds; then nothing is extrapolated, but for air and effects (`see_ahead`).
     """
     if scheme == EULER:
         put(x_bar, x)
@@ -31,6 +31,20 @@ def extrapolate(scheme, dt, x, v, x_old, v_old, stiffer, x_bar, v_bar, guess):
     if stiffer[0] > 0.0 or stiffer[1] > 0.0:
         put(guess, v)
     return 2.0 * dt / 3.0
+
+
+@lean_kernel
+def see_ahead(scheme, guess, v, v_old, touch, out):
+    """out (3, n) = the velocity at which air and effects are taken: the guess, and of BDF2 what `extrapolate` may have
+    left out of it. No matrix knows of these forces, so that at a velocity of the step before they would be of first
+    order; what stiffens does not see velocities.
+    """
+    put(out, guess)
+    if scheme == BDF2:
+        for e in range(v.shape[1]):
+            if touch[e] == FREE:
+                for c in range(3):
+                    out[c, e] = 2.0 * v[c, e] - v_old[c, e]
 
 
 @lean_kernel

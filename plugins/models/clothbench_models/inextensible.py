@@ -64,7 +64,7 @@ class Inextensible:
     """
 
     name = "inextensible"
-    version = 9
+    version = 10
     lacks: Mapping[str, str] = {"stretch": "its threads do not stretch"}
     kind = "implicit"
     parameters = PARAMETERS

@@ -38,6 +38,7 @@ from clothbench_models.implicit_step import (
     follow_grips,
     moved_on,
     rest_on,
+    see_ahead,
     slip,
     step_before,
 )
@@ -120,8 +121,9 @@ def _march(
             carry(obstacles, grips.knots, grips.curve, start, t, dt)
             rest_on(guess, x, v, x_bar, gamma, dt, obstacles, free, touch, normal, friction, on, z, q)
         moved_on(x_bar, gamma, guess, q)
+        see_ahead(scheme, guess, v, v_old, touch, z)
         f[:] = 0.0
-        heavier = add_outer(t, dt, q, guess, f, nu, NO_AIR, sheet, effects, terms, terms.state, extra, grips, segment)
+        heavier = add_outer(t, dt, q, z, f, nu, NO_AIR, sheet, effects, terms, terms.state, extra, grips, segment)
         add_diagonals(offsets, bending, q, -bend, f)
         if beta != 0.0:
             add_diagonals(offsets, bending, guess, -beta, f)
