@@ -88,7 +88,7 @@ class Mujoco:
     """
 
     name = "mujoco"
-    version = 2
+    version = 3
     parameters = PARAMETERS
     capabilities = frozenset({"dynamic", "static", "effects", "moving_start"})
     documented = DOCUMENTED
@@ -211,7 +211,8 @@ class MujocoSimulation(ExternalSimulation):
 
     def _stable_step(self, model: mujoco.MjModel, theta: np.ndarray) -> float:
         """The largest stable step [s] of symplectic Euler with a lagging damping force β K v."""
-        omega = math.sqrt(self._stiffest(model) + self.stiffest_effect(theta[None])[0])
+        light = self.effects.lightest(theta[None])[0]
+        omega = math.sqrt((self._stiffest(model) + self.stiffest_effect(theta[None])[0]) / light)
         half = theta[3] * omega / 2
         return (2 / omega) * (math.sqrt(1 + half**2) - half)
 
