@@ -213,7 +213,8 @@ class NewtonSimulation(ExternalSimulation):
         light = self.effects.lightest(theta[None])[0]
         omega = math.sqrt((square + self.stiffest_effect(theta[None])[0]) / light)
         half = rate / light / (2 * omega)
-        return SAFETY * self.step_scale * (2 / omega) * (math.sqrt(1 + half**2) - half)
+        held = self.restrained_step(theta[None], np.array([omega**2]), np.array([2 * half * omega]))[0]
+        return self.step_scale * min(SAFETY * (2 / omega) * (math.sqrt(1 + half**2) - half), held)
 
 
 def unit_bending(sheet: Sheet, solver: str) -> float:
