@@ -346,7 +346,7 @@ class Lightens(Protocol):
 
 @runtime_checkable
 class Restrains(Protocol):
-    """A dynamics effect that holds nodes, each by itself: explicit models then take as short a step as that asks for."""
+    """A dynamics effect that holds nodes, each by itself: explicit models then take steps that are short enough."""
 
     def restraint(self, phi: np.ndarray) -> tuple[float, float]:
         """What it adds at most, for its parameters phi (P,), to a node of the stated mass: to its squared angular

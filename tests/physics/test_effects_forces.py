@@ -297,7 +297,8 @@ def test_what_hangs_on_cut_cloth_hangs_on_cloth():
 def test_a_point_mass_hangs_at_its_share_of_the_cloth_wherever_the_grips_lie(outline, inset):
     grips = np.array([[inset, inset], [0.3 - inset, inset]])
     at = np.column_stack([grips[:, 0], np.zeros(2), -grips[:, 1]])
-    scene = Scene(0.3, 0.3, 0.12, np.array([0.0, 1.0]), grips, np.stack([at, at]), np.array([0.0]), np.array([[0.1, 0.1]]),
+    times = np.array([0.0, 1.0])
+    scene = Scene(0.3, 0.3, 0.12, times, grips, np.stack([at, at]), times[:1], np.array([[0.1, 0.1]]),
                   resolution=(11, 11), outline=None if outline is None else np.array(outline, dtype=float))  # fmt: skip
     sheet = catalogue().make("models", "baraff_witkin").prepare(scene).sheet
     x = np.ascontiguousarray(np.column_stack([sheet.uv, np.zeros(len(sheet.uv))]).T)

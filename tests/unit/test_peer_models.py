@@ -144,7 +144,7 @@ def test_a_step_that_is_given_is_scaled_too(name):
 
 
 def test_a_lighter_sheet_is_taken_in_shorter_steps(name):
-    """By the root of what an effect leaves of the mass, where little is damped; a heavier one in those of the stated."""
+    """By the root of what an effect leaves of the mass, where little is damped; a heavier one in the same."""
     model = MODELS[name](resolution=5)
     simulation = model.prepare(scenes.hanging(), [catalogue().make("effects", "total_mass")])
     theta = model.parameters.low
