@@ -74,6 +74,7 @@ _HOME = {
     "KnowsMaterials": "core.optional",
     "KnowsTextiles": "core.optional",
     "Lightens": "core.optional",
+    "Restrains": "core.optional",
     "MayBeAbsent": "core.optional",
     "ReadsKinds": "core.optional",
     "Refinable": "core.optional",

@@ -345,6 +345,17 @@ class Lightens(Protocol):
 
 
 @runtime_checkable
+class Restrains(Protocol):
+    """A dynamics effect that holds nodes, each by itself: explicit models then take steps that are short enough."""
+
+    def restraint(self, phi: np.ndarray) -> tuple[float, float]:
+        """What it adds at most, for its parameters phi (P,), to a node of the stated mass: to its squared angular
+        frequency 1/s² and to its rate of damping 1/s.
+        """
+        ...
+
+
+@runtime_checkable
 class SaysNormals(Protocol):
     """normals: whether its kernels read `sheet.normal`, which nobody computes (NaN) if none does. Without it: yes."""
 

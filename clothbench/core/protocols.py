@@ -156,8 +156,8 @@ class Effect(Protocol):
         inertia(t, dt, x, v, mass, sheet, p, state)  adds to each node's mass tensor [kg], mass (6, n) as
                                                      xx, yy, zz, yz, xz, xy; what it weighs is for `force` to add
       with x (3, n) m, v (3, n) m/s, `sheet` (clothbench.Sheet), p this effect's parameters in order, and
-      state (S,) kept from step to step. Optional: `Remembers` (else S = 0), `Stiffens`, `Lightens`, `SaysNormals`;
-      and in any place `VariesByRecording`.
+      state (S,) kept from step to step. Optional: `Remembers` (else S = 0), `Stiffens`, `Lightens`, `Restrains`,
+      `SaysNormals`; and in any place `VariesByRecording`.
     place "boundary": has `grips(time (K,), position (K, G, 3), phi (P,)) -> position`.
     place "sensor": is `ShiftsTimes` and/or `ShiftsPositions`.
     An effect that takes part in force-extension curves, there only or there too, has one method more, by its place:

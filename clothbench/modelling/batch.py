@@ -214,6 +214,15 @@ class GridSimulation:
         wave = sum(1 / np.diff(lines).min() ** 2 for lines in self.lines)
         return 3 * (4 * stretch * wave + 16 * bending * wave**2) / self.scene.areal_density
 
+    def restrained_step(self, theta: np.ndarray, square: np.ndarray, rate: np.ndarray) -> np.ndarray:
+        """The longest step (B,) s of leapfrog with a lagging damping force that is stable where effects hold nodes by
+        themselves, ∞ where none does: (ω² + ω_e²) Δt² + 2 (r + r_e) Δt = 4, from the model's own ω² 1/s² and r 1/s.
+        """
+        more, slower = self.effects.restraint(theta).T / self.effects.lightest(theta)
+        whole, braked = square + more, rate + slower
+        step = (np.sqrt(braked**2 + 4 * whole) - braked) / whole
+        return np.where((more > 0) | (slower > 0), step, np.inf)
+
     @property
     def slowest(self) -> float:
         """ω₁ of the hanging sheet, (2.4048/2)√(g/L) [rad/s]; where nothing pulls it down, that of a gentle pull.

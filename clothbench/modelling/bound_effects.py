@@ -12,6 +12,7 @@ from clothbench.core.errors import ClothbenchError
 from clothbench.core.optional import (
     Lightens,
     Remembers,
+    Restrains,
     ShiftsPositions,
     ShiftsSight,
     ShiftsTimes,
@@ -115,6 +116,14 @@ class BoundEffects(JoinedParameters):
             if isinstance(effect, Lightens):
                 taken += [max(0.0, 1.0 - effect.lightest(phi)) for phi in self.of_effect(effect, theta)]
         return np.maximum(1.0 - taken, LEAST_MASS)
+
+    def restraint(self, theta: np.ndarray) -> np.ndarray:
+        """What all effects together add at most to a node's squared frequency 1/s² and rate of damping 1/s, (B, 2)."""
+        out = np.zeros((len(theta), 2))
+        for effect in self.at("dynamics"):
+            if isinstance(effect, Restrains):
+                out += [effect.restraint(phi) for phi in self.of_effect(effect, theta)]
+        return out
 
     @property
     def normals(self) -> bool:

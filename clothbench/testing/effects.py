@@ -15,6 +15,7 @@ from clothbench.core.optional import (
     HasFamily,
     Lightens,
     Remembers,
+    Restrains,
     SaysNormals,
     Stiffens,
     acts_at_rest,
@@ -68,6 +69,11 @@ def keeps_what_it_offers(case: EffectCase) -> None:
         for phi in (probe.null_values(effect), *probe.acting_values(effect)):
             left = effect.lightest(phi)
             require(0 < left <= 1, f"lightest that gives {left!r}", "a share above 0, at most 1")
+    if isinstance(effect, Restrains):
+        for phi in (probe.null_values(effect), *probe.acting_values(effect)):
+            added = np.asarray(effect.restraint(phi), dtype=float)
+            fine = added.shape == (2,) and bool(np.isfinite(added).all()) and bool((added >= 0).all())
+            require(fine, f"a restraint of {added.tolist()}", "two numbers, 1/s² and 1/s, 0 or above")
     if isinstance(effect, SaysNormals):
         require(isinstance(effect.normals, bool), f"normals {effect.normals!r}", "True or False")
     if isinstance(effect, HasFamily):

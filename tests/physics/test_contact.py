@@ -143,8 +143,8 @@ def test_what_is_lifted_comes_off_the_plane(model, theta, dt):
 
 @pytest.mark.parametrize(("model", "theta", "dt"), SCHEMES.values(), ids=SCHEMES)
 @pytest.mark.parametrize("friction", [0.1, 0.5])
-def test_in_implicit_steps_a_sheet_slides_as_coulomb_says_a_few_steps_late(model, theta, dt, friction):
-    """Sticks below atan μ; above, a new contact sticks for a step, and then accelerates with g (sin α − μ cos α)."""
+def test_in_implicit_steps_a_sheet_slides_as_coulomb_says_from_its_first_step_on(model, theta, dt, friction):
+    """Sticks below atan μ; above, it accelerates with g (sin α − μ cos α)."""
     times, path = slide(np.arctan(friction) - 0.003, friction, model, theta)
     assert np.abs(path).max() < 1e-12
     angle = np.arctan(friction) + 0.1
@@ -152,7 +152,7 @@ def test_in_implicit_steps_a_sheet_slides_as_coulomb_says_a_few_steps_late(model
     pull = G * (np.sin(angle) - friction * np.cos(angle))
     np.testing.assert_allclose(np.diff(path[0], 2) / 0.1**2, pull, rtol=2e-3)
     late = times[1:] - np.sqrt(2 * path[0, 1:] / pull)
-    assert (np.abs(late) < 2 * dt).all()
+    assert (np.abs(late) < 0.6 * dt).all()  # implicit Euler is half a step ahead
 
 
 @pytest.mark.parametrize(("model", "theta", "dt"), SCHEMES.values(), ids=SCHEMES)
@@ -198,9 +198,9 @@ def test_what_lands_in_motion_slides_on_as_coulomb_says(model, theta, dt):
 
 @pytest.mark.parametrize(("model", "theta", "dt"), SCHEMES.values(), ids=SCHEMES)
 def test_what_lies_there_in_motion_stops_as_coulomb_says(model, theta, dt):
-    """After v²/(2 μ g); friction begins a step late."""
+    """After v²/(2 μ g)."""
     path = set_going(model, theta, 0.0, 0.4, 1.0, np.array([0.0, 0.3, 0.4]))[..., 0].mean(axis=1)
-    assert np.abs(path[1:] - path[0] - 1.0 / (2 * 0.4 * G)).max() < 1.5 * dt * 1.0
+    assert np.abs(path[1:] - path[0] - 1.0 / (2 * 0.4 * G)).max() < 0.6 * dt * 1.0
 
 
 def test_in_runge_kutta_steps_a_sheet_slides_as_coulomb_says():

@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from clothbench import Scene
 from clothbench.core.protocols import Effect
 from clothbench.modelling.mesh import grid_triangles
 from clothbench.modelling.sheet import own_sheet, sheet_of, wants_normals
@@ -289,6 +290,32 @@ def test_what_hangs_on_cut_cloth_hangs_on_cloth():
     assert button.min() >= 0.0
     assert button.sum() == pytest.approx(0.004)
     assert np.linalg.norm(sheet.uv[button > 0] - radius, axis=1).max() < 1.1 * radius
+
+
+@pytest.mark.parametrize("outline", [None, [(0, 0), (0.3, 0), (0.3, 0.3), (0.15, 0.27), (0, 0.3)]])
+@pytest.mark.parametrize("inset", [0.0, 0.012])
+def test_a_point_mass_hangs_at_its_share_of_the_cloth_wherever_the_grips_lie(outline, inset):
+    grips = np.array([[inset, inset], [0.3 - inset, inset]])
+    at = np.column_stack([grips[:, 0], np.zeros(2), -grips[:, 1]])
+    times = np.array([0.0, 1.0])
+    scene = Scene(0.3, 0.3, 0.12, times, grips, np.stack([at, at]), times[:1], np.array([[0.1, 0.1]]),
+                  resolution=(11, 11), outline=None if outline is None else np.array(outline, dtype=float))  # fmt: skip
+    sheet = catalogue().make("models", "baraff_witkin").prepare(scene).sheet
+    x = np.ascontiguousarray(np.column_stack([sheet.uv, np.zeros(len(sheet.uv))]).T)
+    for place in ((0.5, 0.5), (0.9, 0.5), (0.5, 0.2)):
+        share = push(effect_named("point_mass"), (0.004, *place), sheet, x, 0 * x)[2] / -9.81 / 0.004
+        np.testing.assert_allclose(share @ sheet.uv, 0.3 * np.array(place), atol=1e-12)
+
+
+def test_what_hangs_on_a_sheet_that_was_cut_shorter_hangs_on_what_is_left():
+    cut, shorter = (
+        catalogue().make("models", "baraff_witkin").prepare(scene).sheet for scene in scenes.cut_and_short()
+    )
+    hung = []
+    for sheet in (cut, shorter):
+        x = np.ascontiguousarray(np.column_stack([sheet.uv, np.zeros(len(sheet.uv))]).T)
+        hung.append(push(effect_named("point_mass"), (0.004, 0.3, 0.7), sheet, x, 0 * x)[2] @ sheet.uv)
+    np.testing.assert_allclose(hung[0], hung[1], rtol=1e-9)
 
 
 def test_a_hem_runs_along_the_end_of_a_sheet_that_was_cut_shorter():

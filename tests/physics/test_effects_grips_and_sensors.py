@@ -10,6 +10,7 @@ from effect_scenes import STIFF, cloth, effect_named, hanging, on_every_model, r
 from scipy.integrate import solve_ivp
 
 from clothbench import Camera, ClothbenchError, Scene
+from clothbench.core.scene import minimum_jerk
 from clothbench.plugins.discovery import catalogue
 from clothbench.testing import scenes
 
@@ -191,6 +192,26 @@ def test_how_stiff_a_patch_is_does_not_depend_on_the_step():
     for options in ({"dt": 2e-3}, {"integrator": "implicit_euler"}, {"integrator": "rk45"}):
         np.testing.assert_allclose(hung(**options), fine, atol=2e-5)
     assert 0.0 < np.abs(hung(dt=8e-3) - fine).max() < 0.02
+
+
+@pytest.mark.parametrize("name", ["mass_spring", "mass_spring_verlet"])
+def test_explicit_steps_are_as_short_as_a_patch_asks_for(name):
+    """A heavy sheet of soft springs is stable in all of the patch's bounds; what takes short steps keeps them."""
+    held, times = np.array([[0.0, 0.0], [0.3, 0.0]]), np.linspace(0.0, 1.0, 101)
+    aside = 0.05 * np.sin(9 * times)[:, None, None] * minimum_jerk(times / 0.3)[:, None, None] * [0.0, 1.0, 0.0]
+    at = np.column_stack([held[:, 0], np.zeros(2), np.zeros(2)]) + aside
+    scene = Scene(0.3, 0.3, 1.0, times, held, at, np.array([0.0, 1.0]), held, resolution=(9, 9))
+    model, patch = catalogue().make("models", name), effect_named("grip_patch")
+    simulation, default = model.prepare(scene, [patch]), model.parameters.defaults
+    soft = model.parameters.low
+    soft[2 if name == "mass_spring" else 12] = 0.01 if name == "mass_spring" else 1.0
+    stiff = default * np.where(np.array([p.unit for p in model.parameters]) == "N/m", 4.0, 1.0)
+    sizes = [0.0, patch.parameters.defaults[0], patch.parameters.high[0]]
+    rows = [np.append(base, size) for base in (soft, stiff) for size in sizes]
+    rollout = simulation.run(np.array(rows))
+    assert set(rollout.status) == {"ok"}
+    assert rollout.steps[1] > 1.2 * rollout.steps[0]
+    assert rollout.steps[4] == pytest.approx(rollout.steps[3], rel=0.1)
 
 
 # --- sensor -----------------------------------------------------------------------------------------------------------

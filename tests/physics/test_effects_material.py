@@ -123,13 +123,14 @@ def test_below_yield_bending_is_given_back_and_above_it_costs_the_area_of_the_lo
         assert (press.work - before) / counted == pytest.approx(expected, rel=0.01, abs=1e-3 * scale)
 
 
-def test_a_strip_bent_beyond_yield_rests_at_the_curvature_that_stays(strip):
-    """Where the model's own D and what yielded balance: R (κ_m − κ_y)/(R + D)."""
-    rigidity, own, limit, top = 4e-5, 1e-5, 3.0, 10.0
+@pytest.mark.parametrize(("limit", "top"), [(3.0, 10.0), (1.5, 12.0)])
+def test_a_strip_bent_beyond_yield_rests_at_the_curvature_that_stays(strip, limit, top):
+    """Where the model's own D and what yielded balance: R (κ_m − κ_y)/(R + D), or R κ_y/D where that yields again."""
+    rigidity, own = 4e-5, 1e-5
     press = Press(strip, "plastic_bending", (rigidity, limit))
     for kappa in (0.0, 5.0, top):
         press.to(bent(strip, kappa))
-    stays = bent(strip, rigidity * (top - limit) / (rigidity + own))
+    stays = bent(strip, min(rigidity * (top - limit) / (rigidity + own), rigidity * limit / own))
     elastic = np.zeros_like(stays)
     effect_named("bending_anisotropy").force(
         0.0, 1e-3, stays, 0 * stays, elastic, strip, np.array([own, 0.0]), np.zeros(0)

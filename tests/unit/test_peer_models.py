@@ -143,6 +143,16 @@ def test_a_step_that_is_given_is_scaled_too(name):
     assert model.prepare(scene).engine(model.parameters.defaults).dt == 5e-5
 
 
+def test_a_lighter_sheet_is_taken_in_shorter_steps(name):
+    """By the root of what an effect leaves of the mass, where little is damped; a heavier one in the same."""
+    model = MODELS[name](resolution=5)
+    simulation = model.prepare(scenes.hanging(), [catalogue().make("effects", "total_mass")])
+    theta = model.parameters.low
+    steps = {ratio: simulation.engine(np.append(theta, ratio)).dt for ratio in (0.7, 1.0, 1.5)}
+    assert steps[1.5] == steps[1.0]
+    assert steps[0.7] == pytest.approx(np.sqrt(0.7) * steps[1.0], rel=0.05)
+
+
 @pytest.mark.parametrize("option", [{"dt": 0.0}, {"step_scale": 2.0}, {"step_scale": None}, {"resolution": 2}], ids=str)
 def test_a_wrong_option_is_refused_in_one_line(option):
     for make in MODELS.values():

@@ -14,7 +14,9 @@ class GripCompliance:
     ring at first, for about T/(2π ζ); on a path with a single stamp it does nothing, and after the last stamp it
     stands still, since what is seen then counts for nothing.
 
-    Integrated exactly for a path that is straight between stamps, so no period is too short: at T → 0 it is the path.
+    Integrated exactly, from stamp to stamp, for a path that is straight between them; at T → 0 it is the path. What a
+    model then makes of the stamps is as smooth as of any: of grips that stop at once, a mount with five stamps a period
+    is off by 5 to 20 % of what it gave way, and with two or fewer by all of it.
     """
 
     name = "grip_compliance"

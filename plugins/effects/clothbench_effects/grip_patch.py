@@ -63,7 +63,7 @@ def clasp(t, dt, x, v, f, sheet, p, state):
 
 class GripPatch:
     name = "grip_patch"
-    version = 3
+    version = 4
     place = "dynamics"
     family = "grip"
     normals = False
@@ -80,3 +80,6 @@ class GripPatch:
 
     def state_size(self, sheet):
         return 1 + 5 * len(sheet.uv)
+
+    def restraint(self, phi):
+        return (OMEGA**2, 2 * OMEGA) if phi[0] > 0 else (0.0, 0.0)

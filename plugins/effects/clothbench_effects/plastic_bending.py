@@ -2,7 +2,8 @@
 
 An elastic element that yields, beside the model's own bending, which does not: below the yield curvature it is one more
 rigidity and loses nothing; above, its moment stays what it was at yield, and what is bent beyond that is not undone.
-Left to itself a strip bent to κ_m and let go keeps R (κ_m − κ_y)/(R + D) of it, with D the model's own rigidity.
+A strip bent to κ_m and let go keeps R (κ_m − κ_y)/(R + D), with D the model's own rigidity, but R κ_y/D at most: what
+was bent farther than (2 + R/D) κ_y yields once more on its way back.
 """
 
 import numpy as np

@@ -8,13 +8,12 @@ from clothbench_effects.sheet_kernels import helper
 def find_place(sheet, u, v, state):
     """The triangle that holds the point and its barycentric weights there; of a point off a sheet that has been cut, or
     beside the grid, of the place in the nearest triangle with no weight below 0. state: 0 or 1 if known, nodes,
-    weights.
+    weights. u, v: shares of how far the cloth reaches.
     """
     state[0] = 1.0
-    if sheet.columns > 0 and sheet.outline.shape[0] > 0:  # hems beside the grid
-        u, v = u * sheet.outline[:, 0].max(), v * sheet.outline[:, 1].max()
-    else:
-        u, v = u * sheet.uv[:, 0].max(), v * sheet.uv[:, 1].max()
+    edge = sheet.outline if sheet.outline.shape[0] > 0 else sheet.uv  # beside the nodes: cut, or grips lie inside it
+    left, top = edge[:, 0].min(), edge[:, 1].min()
+    u, v = left + u * (edge[:, 0].max() - left), top + v * (edge[:, 1].max() - top)
     deepest, place = -1e300, 0
     for face in range(sheet.triangles.shape[0]):
         # Rounding must not let a point on an edge fall between two triangles: take the one that it is deepest in.
@@ -67,7 +66,7 @@ SOURCE = "weigh it, and see where it is"
 
 class PointMass:
     name = "point_mass"
-    version = 3
+    version = 4
     place = "dynamics"
     family = "mass"
     normals = False

@@ -97,7 +97,7 @@ class BaraffWitkin:
     """
 
     name = "baraff_witkin"
-    version = 8
+    version = 9
     kind = "implicit"
     parameters = PARAMETERS
     textiles = TEXTILES

@@ -47,8 +47,11 @@ from clothbench_models.implicit_step import (
     end_step,
     extrapolate,
     follow_grips,
+    is_loose,
     moved_on,
     rest_on,
+    see_ahead,
+    set_off,
     slip,
     step_before,
 )
@@ -201,7 +204,7 @@ def _march_implicit(
     x, v, guess, x_bar, v_bar = begins.x, begins.v, np.zeros((3, n)), np.empty((3, n)), np.zeros((3, n))
     x_old, v_old, x_before, v_before = np.empty((3, n)), np.zeros((3, n)), np.empty((3, n)), np.zeros((3, n))
     touch, friction, rub, on = np.zeros(n, np.int64), np.zeros(n), np.zeros((3, n)), np.full(n, -1)
-    solid = obstacles.shape[0] > 0
+    solid, loose = obstacles.shape[0] > 0, is_loose(mass, pins)
     wanted, mobility = np.empty((3, n if solid else 0)), np.empty(n)
     for g in range(pins.shape[0]):
         touch[pins[g]] = STICKS
@@ -214,9 +217,12 @@ def _march_implicit(
         else:
             touching(x, v, 0.0, obstacles, free, touch, normal, friction, on)
             f[:] = 0.0
-            if add_outer(start, dt, x, v, f, nu, air, sheet, effects, terms, terms.state, extra, grips, segment):
+            heavier = add_outer(start, dt, x, v, f, nu, air, sheet, effects, terms, terms.state, extra, grips, segment)
+            if solid and loose:
+                set_off(f, v, obstacles, on, free, touch, normal, friction, rub, z, q)
+            if heavier:
                 bear_inertia(f, mass, extra)
-            step_before(x, v, dt, f, mass, pins, touch, x_old, v_old)
+            step_before(x, v, dt, f, mass, loose, x_old, v_old)
         done = write_frames(x, v, x, v, start, start, done, sampling, grips)
     while settling or done < frames:
         if settling:
@@ -232,9 +238,10 @@ def _march_implicit(
             carry(obstacles, grips.knots, grips.curve, start, t, dt)
             rest_on(guess, x, v, x_bar, gamma, dt, obstacles, free, touch, normal, friction, on, z, q)
         moved_on(x_bar, gamma, guess, q)
+        see_ahead(EULER if settling else scheme, guess, v, v_old, touch, z)
         f[:] = 0.0
         step = dt if not settling else min(h, dt)
-        heavier = add_outer(t, step, q, guess, f, nu, air, sheet, effects, terms, terms.state, extra, grips, segment)
+        heavier = add_outer(t, step, q, z, f, nu, air, sheet, effects, terms, terms.state, extra, grips, segment)
         elastic(q, guess, f, nu, membrane, plate, stiffer[0], gamma * gamma, gamma, edges, shear, work)
         for c in range(3):
             for e in range(n):

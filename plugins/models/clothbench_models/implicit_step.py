@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from clothbench.modelling import OBSTACLE, grip_point, keep_out, kernel, lean_kernel, mobilities
 from clothbench_models.implicit_grid import hold_back, put
-from clothbench_models.resting_contact import FREE, part_layers, touching
+from clothbench_models.resting_contact import FREE, LEAVES, SLIDES, judge, part_layers, touching
 
 EULER, BDF2 = 0, 1
 
@@ -16,7 +16,7 @@ EULER, BDF2 = 0, 1
 @lean_kernel
 def extrapolate(scheme, dt, x, v, x_old, v_old, stiffer, x_bar, v_bar, guess):
     """Fill x̄, v̄ and the guess of v' (3, n); returns γ [s]. stiffer (2,): what effects add to the stiffness, which the
-    matrix only bounds; then nothing is extrapolated.
+    matrix only bounds; then nothing is extrapolated, but for air and effects (`see_ahead`).
     """
     if scheme == EULER:
         put(x_bar, x)
@@ -31,6 +31,20 @@ def extrapolate(scheme, dt, x, v, x_old, v_old, stiffer, x_bar, v_bar, guess):
     if stiffer[0] > 0.0 or stiffer[1] > 0.0:
         put(guess, v)
     return 2.0 * dt / 3.0
+
+
+@lean_kernel
+def see_ahead(scheme, guess, v, v_old, touch, out):
+    """out (3, n) = the velocity at which air and effects are taken: the guess, and of BDF2 what `extrapolate` may have
+    left out of it. No matrix knows of these forces, so that at a velocity of the step before they would be of first
+    order; what stiffens does not see velocities.
+    """
+    put(out, guess)
+    if scheme == BDF2:
+        for e in range(v.shape[1]):
+            if touch[e] == FREE:
+                for c in range(3):
+                    out[c, e] = 2.0 * v[c, e] - v_old[c, e]
 
 
 @lean_kernel
@@ -87,19 +101,40 @@ def moved_on(x_bar, gamma, guess, q):
 
 
 @lean_kernel
-def step_before(x, v, dt, f, mass, pins, touch, x_old, v_old):
-    """The step before the first of a sheet that does not begin at rest in its grips: held, it moved as it does now; let
-    go, on the parabola of its fall, but for nodes that lie on an obstacle, which do not fall. f (3, n): N, weight, air
-    and effects, as the bare masses feel them.
-    """
-    loose = 1.0
+def is_loose(mass, pins):
+    """Whether nothing holds the cloth: what is off it holds nothing."""
+    held = 0.0
     for g in range(pins.shape[0]):
-        if mass[pins[g]] > 0.0:  # what is off the cloth holds nothing
-            loose = 0.0
+        held = max(held, mass[pins[g]])
+    return held == 0.0
+
+
+@kernel
+def set_off(f, v, obstacles, on, free, touch, normal, friction, rub, z, q):
+    """What the nodes of a loose sheet do that lie on an obstacle as a run begins, as if it had no inner forces: `rub`
+    becomes the friction of those that slide, and f (3, n) N what moves nodes; z, q are overwritten.
+    """
+    slip(EULER, v, obstacles, on, q)
+    for c in range(3):
+        for e in range(v.shape[1]):
+            z[c, e] = -f[c, e]
+    judge(z, q, free, touch, normal, friction, rub)
+    for e in range(v.shape[1]):
+        if touch[e] == LEAVES:  # only a step lets go
+            touch[e] = SLIDES
+        for c in range(3):
+            f[c, e] += rub[c, e]
+    hold_back(f, touch, normal)
+
+
+@lean_kernel
+def step_before(x, v, dt, f, mass, loose, x_old, v_old):
+    """The step before the first of a sheet that does not begin at rest in its grips: held, it moved as it does now;
+    loose, on the parabola of its fall or slide. f (3, n): N, weight, air and effects, as the bare masses feel them.
+    """
     for c in range(3):
         for e in range(x.shape[1]):
-            falls = loose > 0.0 and touch[e] == FREE and mass[e] > 0.0
-            a = f[c, e] / mass[e] if falls else 0.0
+            a = f[c, e] / mass[e] if loose and mass[e] > 0.0 else 0.0
             v_old[c, e] = v[c, e] - dt * a
             x_old[c, e] = x[c, e] - dt * v[c, e] + 0.5 * dt * dt * a
 

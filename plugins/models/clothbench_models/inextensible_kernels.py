@@ -36,8 +36,11 @@ from clothbench_models.implicit_step import (
     end_step,
     extrapolate,
     follow_grips,
+    is_loose,
     moved_on,
     rest_on,
+    see_ahead,
+    set_off,
     slip,
     step_before,
 )
@@ -79,7 +82,7 @@ def _march(
     x_old, v_old, x_before, v_before = np.empty((3, n)), np.zeros((3, n)), np.empty((3, n)), np.zeros((3, n))
     touch, friction, rub, on = np.zeros(n, np.int64), np.zeros(n), np.zeros((3, n)), np.full(n, -1)
     stiff_mass, lightness, mobility = np.empty(n), np.zeros(padded), np.empty(n)
-    solid = obstacles.shape[0] > 0
+    solid, loose = obstacles.shape[0] > 0, is_loose(mass, pins)
     for e in range(n):
         lightness[pad + e] = 1.0 / mass[e]
     for g in range(pins.shape[0]):
@@ -107,9 +110,12 @@ def _march(
         tension[:] = 0.0
         touching(x, v, 0.0, obstacles, free, touch, normal, friction, on)
         f[:] = 0.0
-        if add_outer(start, dt, x, v, f, nu, NO_AIR, sheet, effects, terms, terms.state, extra, grips, segment):
+        heavier = add_outer(start, dt, x, v, f, nu, NO_AIR, sheet, effects, terms, terms.state, extra, grips, segment)
+        if solid and loose:
+            set_off(f, v, obstacles, on, free, touch, normal, friction, rub, z, q)
+        if heavier:
             bear_inertia(f, mass, extra)
-        step_before(x, v, dt, f, mass, pins, touch, x_old, v_old)
+        step_before(x, v, dt, f, mass, loose, x_old, v_old)
     done = write_frames(x, v, x, v, start, start, done, sampling, grips)
     while done < frames:
         t = start + (count + 1) * dt
@@ -120,8 +126,9 @@ def _march(
             carry(obstacles, grips.knots, grips.curve, start, t, dt)
             rest_on(guess, x, v, x_bar, gamma, dt, obstacles, free, touch, normal, friction, on, z, q)
         moved_on(x_bar, gamma, guess, q)
+        see_ahead(scheme, guess, v, v_old, touch, z)
         f[:] = 0.0
-        heavier = add_outer(t, dt, q, guess, f, nu, NO_AIR, sheet, effects, terms, terms.state, extra, grips, segment)
+        heavier = add_outer(t, dt, q, z, f, nu, NO_AIR, sheet, effects, terms, terms.state, extra, grips, segment)
         add_diagonals(offsets, bending, q, -bend, f)
         if beta != 0.0:
             add_diagonals(offsets, bending, guess, -beta, f)

@@ -172,6 +172,10 @@ class MassSpringSimulation(SpringSimulation):
         fewest = STAGES[np.minimum(1 + np.searchsorted(REACH, rate * step), len(STAGES) - 1)]
         return np.where((self.stable_step(theta) < step) & (step <= 2 / omega), fewest, 1)
 
+    def square_and_rate(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        omega, rate = self.frequency_and_damping(theta)
+        return omega**2, rate
+
     def frequency_and_damping(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Bounds on ω and on the rate of damping (B,) 1/s: the flat sheet's."""
         k1, k2, zeta = theta[:, :3].T

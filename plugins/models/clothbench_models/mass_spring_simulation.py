@@ -104,6 +104,15 @@ class SpringSimulation(GridSimulation, ABC):
         """In how many stages damping is taken (B,) if a step [s] is given."""
         return np.ones(len(theta), np.int64)
 
+    @abstractmethod
+    def square_and_rate(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Bounds on ω² (B,) 1/s² and on the rate of damping (B,) 1/s of the sheet."""
+
+    def restrained(self, theta: np.ndarray, stages: np.ndarray | int = 1) -> np.ndarray:
+        """`restrained_step` with what of its damping is not taken in stages."""
+        square, rate = self.square_and_rate(theta)
+        return self.restrained_step(theta, square, np.where(np.asarray(stages) > 1, 0.0, rate))
+
     def fastest_square(self, theta: np.ndarray) -> np.ndarray:
         """A bound on ω² (B,) 1/s²: that of the flat sheet, whose springs all pull in one plane, and of the effects, for
         the least mass that these leave.
@@ -123,10 +132,12 @@ class _Batch(GridBatch):
         options = simulation.options
         self.calmed = simulation.effects.resting(simulation.calmed(theta))
         scale = simulation.safety * options.step_scale
-        settling = scale * simulation.stable_step(self.calmed)
+        held = options.step_scale * simulation.restrained(self.calmed)
+        settling = np.minimum(scale * simulation.stable_step(self.calmed), held)
         if options.dt is None:
             self.damping_stages, step = simulation.stages_and_step(theta)
-            dt, self.settle_dt = scale * step, settling
+            held = options.step_scale * simulation.restrained(theta, self.damping_stages)
+            dt, self.settle_dt = np.minimum(scale * step, held), settling
         else:
             self.damping_stages = simulation.stages_for(theta, options.dt)
             dt = np.full(len(theta), options.dt * options.step_scale)

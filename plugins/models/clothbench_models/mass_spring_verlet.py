@@ -157,5 +157,8 @@ class VerletSimulation(SpringSimulation):
 
     def stable_step(self, theta: np.ndarray) -> np.ndarray:
         """Of Verlet with loss, ω² Δt² < 4 − 2 c Δt; there c Δt stays below 1 where c is not far above ω."""
-        square, loss = self.fastest_square(theta), self.loss(theta)
+        square, loss = self.square_and_rate(theta)
         return (np.sqrt(loss**2 + 4 * square) - loss) / square
+
+    def square_and_rate(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return self.fastest_square(theta), self.loss(theta)

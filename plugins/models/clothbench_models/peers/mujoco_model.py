@@ -88,7 +88,7 @@ class Mujoco:
     """
 
     name = "mujoco"
-    version = 2
+    version = 3
     parameters = PARAMETERS
     capabilities = frozenset({"dynamic", "static", "effects", "moving_start"})
     documented = DOCUMENTED
@@ -176,7 +176,7 @@ class MujocoSimulation(ExternalSimulation):
         if self.dt is not None:
             dt = self.dt * self.step_scale
         elif self.integrator == "Euler":
-            dt = SAFETY * self.step_scale * self._stable_step(model, theta)
+            dt = self.step_scale * self._stable_step(model, theta)
         else:
             dt = IMPLICIT_STEP * self.step_scale
         return _Flex(model, self.rest, self.sheet.held, dt)
@@ -210,10 +210,12 @@ class MujocoSimulation(ExternalSimulation):
         return model
 
     def _stable_step(self, model: mujoco.MjModel, theta: np.ndarray) -> float:
-        """The largest stable step [s] of symplectic Euler with a lagging damping force β K v."""
-        omega = math.sqrt(self._stiffest(model) + self.stiffest_effect(theta[None])[0])
+        """A stable step [s] of symplectic Euler with a lagging damping force β K v."""
+        light = self.effects.lightest(theta[None])[0]
+        omega = math.sqrt((self._stiffest(model) + self.stiffest_effect(theta[None])[0]) / light)
         half = theta[3] * omega / 2
-        return (2 / omega) * (math.sqrt(1 + half**2) - half)
+        held = self.restrained_step(theta[None], np.array([omega**2]), np.array([2 * half * omega]))[0]
+        return min(SAFETY * (2 / omega) * (math.sqrt(1 + half**2) - half), held)
 
     def _stiffest(self, model: mujoco.MjModel) -> float:
         """The largest ω² [1/s²] of the flat sheet, by the power method on MuJoCo's elastic forces."""

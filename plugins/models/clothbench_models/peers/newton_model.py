@@ -97,7 +97,7 @@ class Newton:
     """
 
     name = "newton"
-    version = 2
+    version = 3
     parameters = PARAMETERS["semi_implicit"]
     capabilities = frozenset({"dynamic", "static", "effects", "moving_start"})
     precision = "single"
@@ -210,9 +210,11 @@ class NewtonSimulation(ExternalSimulation):
         from clothbench_models.peers.newton_sheet import stiffest
 
         square, rate = stiffest(self.sheet, cloth)
-        omega = math.sqrt(square + self.stiffest_effect(theta[None])[0])
-        half = rate / (2 * omega)
-        return SAFETY * self.step_scale * (2 / omega) * (math.sqrt(1 + half**2) - half)
+        light = self.effects.lightest(theta[None])[0]
+        omega = math.sqrt((square + self.stiffest_effect(theta[None])[0]) / light)
+        half = rate / light / (2 * omega)
+        held = self.restrained_step(theta[None], np.array([omega**2]), np.array([2 * half * omega]))[0]
+        return self.step_scale * min(SAFETY * (2 / omega) * (math.sqrt(1 + half**2) - half), held)
 
 
 def unit_bending(sheet: Sheet, solver: str) -> float:
