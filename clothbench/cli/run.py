@@ -61,9 +61,7 @@ RECORDINGS = ("suite=", "recording=", "recordings=")  # how a command line names
 # has it; what is not known is refused once all is put together.
 OPEN = re.compile(r"(options|bounds|finer|scene|analysis|suite|limits)\.[^=]*=|(options|bounds|finer|analysis)=\{")
 # Settings of which nothing is none. Hydra adds a mapping to what the suite has, to which an empty one adds nothing.
-EMPTIED = re.compile(
-    r"\+{0,2}(analysis|bounds|finer|options(\.[^.=]+)?|scene|suite\.(fixed|budgets|effects|textile|published))=.*\{\s*\}"
-)
+EMPTIED = re.compile(r"\+{0,2}(analysis|bounds|finer|limits|options(\.[^.=]+)?|scene|suite\.[^=]+)=.*\{\s*\}")
 NOTHING = re.compile(r"\{\s*\}")
 KINDS = {
     "study": "studies", "model": "models", "optimizer": "optimizers", "metric": "metrics", "report": "metrics",
@@ -110,12 +108,12 @@ def run(arguments: Sequence[str]) -> int:
     notes = Path(tempfile.mkdtemp(prefix="clothbench-"))
     os.environ.update({NOTES: str(notes), "HYDRA_FULL_ERROR": "1"})
     os.environ.setdefault("CLOTHBENCH_SWEEP_DIR", str(notes / "sweep"))
-    words = settings_among(arguments)  # first: Hydra takes no settings on both sides of a flag
-    arguments = either_way([*words, *(word for word in arguments if word not in words)], sweep)
-    os.environ[JOBS] = str(jobs_of(arguments) if sweep else 0)
-    sweep_so_far.cache_clear()
-    sys.argv = ["clothbench run", *arguments]
     try:
+        words = settings_among(arguments)  # first: Hydra takes no settings on both sides of a flag
+        arguments = either_way([*words, *(word for word in arguments if word not in words)], sweep)
+        os.environ[JOBS] = str(jobs_of(arguments) if sweep else 0)
+        sweep_so_far.cache_clear()
+        sys.argv = ["clothbench run", *arguments]
         require_harmless(arguments)
         if sweep:
             require_known(arguments)
@@ -126,8 +124,6 @@ def run(arguments: Sequence[str]) -> int:
     except ValueError as fault:
         if _of_a_job(fault):
             raise
-        if str(fault).startswith("Only one of --run"):
-            raise ClothbenchError(TOGETHER) from fault
         raise ClothbenchError(f"found a setting without a place ({fault}), expected KEY=VALUE of a run") from fault
     else:
         if not (code := _conclude(notes, sweep)):  # a refusal is one line, and the first thing to mend
@@ -138,9 +134,14 @@ def run(arguments: Sequence[str]) -> int:
 
 
 def require_settings(arguments: Sequence[str]) -> None:
-    """Refuse an option that is none of Hydra's, and say how a setting is written."""
+    """Refuse an option that is none of Hydra's, and say how a setting is written; and several that exclude each other,
+    which Hydra refuses only after a sweep's settings have been looked at.
+    """
     reader = get_args_parser()
-    over = reader.parse_known_args(arguments)[1]
+    asked, over = reader.parse_known_args(arguments)
+    commands = (asked.run, asked.multirun, asked.cfg is not None, asked.info is not None, asked.shell_completion)
+    if not asked.help and sum(commands) > 1:
+        raise ClothbenchError(TOGETHER)
     for word in (word for word in over if word.startswith("-")):
         option = word.partition("=")[0]
         name = word.lstrip("-").partition("=")[0].replace("-", "_")
@@ -170,16 +171,25 @@ def either_way(words: Sequence[str], sweep: bool = False) -> list[str]:
     """Hydra's words: those of `OPEN` set whether a suite has them or not, a suite chosen with a sign or without, and
     paths quoted that are no words of Hydra's grammar. sweep: whether commas may part the values of several jobs.
     """
-    signs = ("++" if OPEN.match(word) else "+" if word.startswith("suite=") else "" for word in words)
-    return [sign + _quoted(_emptied(word), sweep) for sign, word in zip(signs, words, strict=True)]
+    return [_quoted(_signed(_emptied(word)), sweep) for word in words]
+
+
+def _signed(word: str) -> str:
+    return ("++" if OPEN.match(word) else "+" if word.startswith("suite=") else "") + word
 
 
 def _emptied(word: str) -> str:
-    """KEY={} of `EMPTIED` as KEY=null, which takes out what the suite has, also as one value of a sweep."""
+    """KEY={} of `EMPTIED` as ++KEY=null, which takes out what the suite has if it has any, also as one value of a
+    sweep. What Hydra cannot read stays: it says so itself.
+    """
     if not EMPTIED.match(word):
         return word
-    values = [value.partition("=")[2] for value in values_of(word)]
-    return f"{word.partition('=')[0]}={','.join('null' if NOTHING.fullmatch(value) else value for value in values)}"
+    try:
+        values = [value.partition("=")[2] for value in values_of(word)]
+    except HydraException:
+        return word
+    told = ",".join("null" if NOTHING.fullmatch(value) else value for value in values)
+    return f"++{word.partition('=')[0].lstrip('+')}={told}"
 
 
 def _quoted(word: str, sweep: bool) -> str:
@@ -214,20 +224,21 @@ def _in_quotes(path: str) -> str:
 
 
 def _is_one(key: str, value: str, sweep: bool) -> bool:
-    """Whether a value with commas that no brackets or quotes hold together is one path: it is there (results: the
-    folder that they would go to), and not all of its parts are; without a sweep also where nothing is there, and
-    results in any case.
+    """Whether a value with commas that no brackets or quotes hold together is one path. Of recordings: where it is
+    there, and without a sweep also where none of its parts is. Of results: always without a sweep; with one where the
+    folder that they would go to is there, and that of one of its parts is not.
     """
     parts = [part.strip() for part in PARTS.findall(value)]
     if len(parts) < 2 or any(part[0] in QUOTES or part[0] + part[-1] == "[]" for part in parts if part):
         return False
 
     def there(path: str) -> bool:
-        return path.startswith(ELSEWHERE) or os.path.exists(os.path.dirname(path) or "." if key == "out" else path)
+        return os.path.exists(os.path.dirname(path) or "." if key == "out" else path)
 
+    known = [part.startswith(ELSEWHERE) or there(part) for part in parts]
     if key == "out":
-        return not sweep or (there(value) and not all(map(there, parts)))
-    return there(value) or not (sweep or all(map(there, parts)))
+        return not sweep or (there(value) and not all(known))
+    return there(value) or not (sweep or any(known))
 
 
 def _read(word: str) -> Sequence[Any]:

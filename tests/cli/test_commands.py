@@ -486,17 +486,35 @@ def test_a_path_with_commas_is_one_path_unless_its_parts_are_meant(tmp_path, mon
     for word in ("out=x/a,y/b", "out=a=b, c é", "recording=a,b.nc", "recordings=a b,c", "recording=a\\,b"):
         key, _, path = word.partition("=")
         assert composed([word])[key] == path.replace("\\", "")
-    with pytest.raises(ClothbenchError, match="Ambiguous value"):  # which says how several are written
-        composed(["recordings=x,y"])
-    for word in ("out=x/a,y/b", "out=a,b", "recording=a,b.nc", "recordings=x,builtin:shake", "recordings=choice(x,y)"):
-        assert jobs_of(either_way([word], sweep=True)) == 2
+    for word in ("recordings=x,y", "recordings=x,typo", "recordings=builtin:shake,typo"):
+        with pytest.raises(ClothbenchError, match="Ambiguous value"):  # which says how several are written
+            composed([word])
+    for word in (
+        "out=x/a,y/b", "out=a,b", "recording=a,b.nc", "recordings=x,builtin:shake", "recordings=choice(x,y)",
+        "recordings=builtin:shake,builtin:shake_nodes", "recordings=dataset:a,dataset:b",
+        "recordings=pkg://a/x,pkg://b/y", "out=s3://x/a,new/b", "out=s3://x/a,s3://x/b",
+    ):  # fmt: skip
+        assert jobs_of(either_way([word], sweep=True)) == 2, word
     with pytest.raises(ClothbenchError, match="requires --multirun"):
         composed(["recordings=choice(x,y)"])
 
 
+def test_braces_that_do_not_match_are_one_line(clothbench, tmp_path):
+    """And nothing is left where temporary files lie."""
+    (tmp_path / "temporary").mkdir()
+    out = clothbench("run", "analysis={morris:{}", "recording=x", TMPDIR=str(tmp_path / "temporary"))
+    assert out.returncode == 2, out.stderr
+    assert "found '++analysis={morris:{}', which Hydra cannot read" in only_line(out.stderr)
+    assert not list((tmp_path / "temporary").glob("clothbench-*"))
+    with pytest.raises(ClothbenchError, match=r"found '\+\+bounds=\{\}\}', which Hydra cannot read"):
+        composed(["++bounds={}}"])
+
+
 @pytest.mark.parametrize(
-    "word", ["analysis={}", "suite.fixed={}", "suite.budgets={}", "options={}", "options.annealing={ }", "scene={}"]
-)
+    "word",
+    ["analysis={}", "suite.fixed={}", "suite.budgets={}", "suite.effects.mass_spring={}", "options={}",
+     "options.annealing={ }", "scene={}"],
+)  # fmt: skip
 def test_an_empty_mapping_takes_out_what_the_suite_has(word):
     """To Hydra it adds nothing to what is there."""
 
@@ -513,9 +531,29 @@ def test_an_empty_mapping_takes_out_what_the_suite_has(word):
     assert swept(either_way([f"{key}={{k1:1}},{{}}"], sweep=True)) == [(key, ["{k1:1}", "null"])]
 
 
+@pytest.mark.parametrize(
+    "words",
+    [["suite=fold_phase_one", "suite.fold={}"], ["suite=fold_over", "suite.path={}"], ["limits.seconds=9", "limits={}"],
+     ["suite=physical_validation", "suite.effects={}"], ["suite=shake", "suite.published.relative_error={}"],
+     ["suite=fold_phase_one", "+bounds={}"]],
+)  # fmt: skip
+def test_so_does_one_that_only_some_suites_have(words):
+    before, after = composed(words[:-1]), composed(words)
+    for key in words[-1].lstrip("+").partition("=")[0].split("."):
+        before, after = before[key], after[key]
+    assert before
+    assert not after
+
+
 def test_settings_that_are_not_there_may_be_empty():
-    assert either_way(["bounds={}", "+finer={}", "analysis={morris:{}}", "analysis.morris={}"]) == [
-        "++bounds=null", "+finer=null", "++analysis={morris:{}}", "++analysis.morris={}",
+    for word in ("bounds={}", "+finer={}", "++analysis={}", "+suite.fixed={}", "+options.ga={}"):
+        path = word.strip("+").partition("=")[0].split(".")
+        found = composed([word])
+        for key in path:
+            found = found[key]
+        assert found is None
+    assert either_way(["analysis={morris:{}}", "analysis.morris={}"]) == [
+        "++analysis={morris:{}}", "++analysis.morris={}",
     ]  # fmt: skip
 
 
@@ -550,7 +588,7 @@ def test_a_wrong_value_in_a_sweep_is_refused_before_its_first_job(clothbench, re
         (["prior=denim,demin"], "no preset 'demin'"),
         (["suite.case=all,fabrik"], "setting 'suite.case' is 'fabrik', expected one of fabric, "),
         (["analysis.morris.trajectories=4,0"], "setting 'analysis.morris.trajectories' is 0, expected a whole number"),
-        (["suite.fixed.k2=2,null"], "setting 'suite.fixed.k2' is None, expected a number"),
+        (["suite.fixed.k2=2,{}"], "setting 'suite.fixed.k2' is None, expected a number; ~suite.fixed.k2 takes it out"),
         (["optimizer=ga,null"], "setting 'optimizer' is empty"),
         (["study=improve", "metric=null", "suite.case=fabric,all"], "setting 'suite.case' is 'all', expected fabric"),
         (["study=improve", "metric=null", "suite.resolution=9,2"], "setting 'resolution' is 2, expected a whole"),

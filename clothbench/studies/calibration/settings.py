@@ -73,6 +73,10 @@ def _fixed(stated: Mapping[str, Any], effects: Collection[str]) -> dict[str, dic
     """
     out: dict[str, dict[str, float]] = {}
     for name, values in stated.items():
+        if values is None:
+            raise ClothbenchError(
+                f"setting 'suite.fixed.{name}' is None, expected a number; ~suite.fixed.{name} takes it out"
+            )
         everywhere = name in effects or not isinstance(values, Mapping)
         pattern, told = ("*", {name: values}) if everywhere else (name, values)
         held = {n: number(f"suite.fixed.{n}", value) for n, value in flat(told).items()}
