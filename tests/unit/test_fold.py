@@ -1,5 +1,7 @@
 """Folds: the made-up strips, the parts of an estimate, and a suite of one fabric from the command's own parts."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from clothbench_metrics.profile import Profile, nearest
@@ -184,6 +186,16 @@ def test_a_fold_ends_near_its_fabric(tmp_path):
     other = Store(tmp_path / "again")
     run_cell(cell(), other.folder)
     assert [s["value"] for s in other.table("fold")] == [s["value"] for s in steps]
+
+
+def test_a_reference_whose_state_is_not_found_has_no_path():
+    class OneIsLost:
+        def lift(self, height, theta):
+            pose = np.arange(9.0).reshape(3, 3)
+            return FoldState(pose, np.zeros((3, 4, 2)), np.zeros(3), np.ones(3), ("ok", "diverged", "ok"))
+
+    path = replace(hand_of(cell(), catalogue()), strip=OneIsLost()).reference_path(0.1)
+    assert path == {"reference_x": 0.0, "reference_x_low": None, "reference_x_high": 6.0}
 
 
 def test_after_the_time_limit_no_step_is_begun(tmp_path):

@@ -79,10 +79,13 @@ class Hand:
         return state
 
     def reference_path(self, height: float) -> dict[str, float | None]:
-        """x [m] of the gripper at a height [m] for what the fabric is known by, and for the ends of its range."""
+        """x [m] of the gripper at a height [m] for what the fabric is known by, and for the ends of its range; None
+        where no state was found.
+        """
         fabric, every = self.cell.fabric, np.repeat(self.whole.defaults[None], 3, axis=0)
         every[:, self.whole.names.index(self.space.names[0])] = fabric.eta, fabric.eta_low, fabric.eta_high
-        x = self.strip.lift(height, self.joined.of_model(every)).pose[:, 0]
+        state = self.strip.lift(height, self.joined.of_model(every))
+        x = np.where([status == "ok" for status in state.status], state.pose[:, 0], np.nan)
         return dict(zip(("reference_x", "reference_x_low", "reference_x_high"), map(finite, x), strict=True))
 
     def hold(self, theta: np.ndarray, near: FoldState) -> FoldState:
