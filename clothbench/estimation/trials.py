@@ -82,11 +82,11 @@ def over(trials: Sequence[Trial], work: Callable[[Trial], Any]) -> list[Any]:
 
 
 def score_of(trial: Trial, metric: Metric, rollout: Rollout) -> Score:
-    """The metric on this trial, made sure."""
-    return made_sure(metric(trial.observation, rollout), metric, rollout)
+    """The metric on this trial, checked."""
+    return checked_score(metric(trial.observation, rollout), metric, rollout)
 
 
-def made_sure(given: Score, metric: Metric, rollout: Rollout) -> Score:
+def checked_score(given: Score, metric: Metric, rollout: Rollout) -> Score:
     """What a metric gave, checked; a member that did not run to its end has no value, residual or objectives, whatever
     positions it left: a search by any of them would else take it for a good one.
     """

@@ -9,7 +9,7 @@ from clothbench.display.names import model_name
 from clothbench.display.section import Section
 from clothbench.engine.study import Results
 
-NOTE = """<p class="soft">The error of each recording, a mean as the metric takes it, and its largest over the frames,
+NOTE = """<p class="soft">The error of each recording, a mean as the metric has it, and its largest over the frames,
 of the best fit; below them what the paper says. Its recordings are not these: read it as the size to be
 expected.</p>"""
 

@@ -19,7 +19,7 @@ from clothbench.engine.study import Context, Result
 from clothbench.engine.tables import finite
 from clothbench.estimation.calibrate import Fit, best_rollout
 from clothbench.estimation.intervals import interval_of, mean_of_split
-from clothbench.estimation.trials import Trial, evaluate, made_sure, score_of
+from clothbench.estimation.trials import Trial, checked_score, evaluate, score_of
 from clothbench.recordings.colour_video import ColourVideo
 from clothbench.recordings.kinds import read_sheet
 from clothbench.recordings.nodes import Recording
@@ -110,7 +110,7 @@ def _score(bench: Bench, trial: Trial, metric: Metric, rollout: Rollout, refused
     except ClothbenchError as fault:
         refused[trial.name] = one_line(str(fault))
         return Score(np.full(len(rollout.status), np.nan), metric.unit)
-    return made_sure(given, metric, rollout)
+    return checked_score(given, metric, rollout)
 
 
 def write_pictures(
