@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.progress import FileProgress, Progress, StageProgress
@@ -133,8 +133,7 @@ class Study(Protocol):
 
     name: as settings and rows have it; against: what its models are held against, in a word for the page's heading;
     suite_words: what it knows under `suite` beside the words that all know; tables: columns of every table that it
-    fills, but for "rows". Optional: `check(settings)`, which refuses what can be no setting of it whatever it is run
-    on; `plan` begins with it, and a sweep asks it of the settings of all jobs before the first begins.
+    fills, but for "rows".
     """
 
     name: str
@@ -145,7 +144,9 @@ class Study(Protocol):
     def plan(
         self, settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | None = None
     ) -> Sequence[Cell]:
-        """Every cell of the settings; what means nothing to this study is refused here, before anything is begun."""
+        """Every cell of the settings; what means nothing to this study is refused here, before anything is begun. What
+        `RefusesSettings` refuses has been refused before.
+        """
         ...
 
     def run(self, cell: Any, context: Context) -> Result:
@@ -165,9 +166,21 @@ class Study(Protocol):
         ...
 
 
-def refuse_unsound(study: Study, settings: dict[str, Any]) -> None:
-    """Have a study refuse what it can of checked settings without its recordings, where it has a `check`."""
-    getattr(study, "check", lambda settings: None)(settings)
+@runtime_checkable
+class RefusesSettings(Protocol):
+    """A study that refuses settings before it reads recordings. Without it: its `plan` refuses them, job by job."""
+
+    def refuse_settings(self, settings: Settings) -> None:
+        """Refuse what can be no setting of it, whatever it is run on. Asked before every `plan`, and by a sweep of the
+        settings of all jobs before the first begins.
+        """
+        ...
+
+
+def refuse_unsound(study: Study, settings: Settings) -> None:
+    """Have a study refuse what it can of checked settings without its recordings."""
+    if isinstance(study, RefusesSettings):
+        study.refuse_settings(settings)
 
 
 def studies(plugins: Catalogue) -> dict[str, Study]:

@@ -11,7 +11,7 @@ from typing import Any
 from clothbench.core.errors import ClothbenchError, known_names
 from clothbench.core.progress import FileProgress
 from clothbench.engine.settings import checked, words
-from clothbench.engine.study import Cell, Study
+from clothbench.engine.study import Cell, Study, refuse_unsound
 from clothbench.plugins.discovery import Catalogue
 from clothbench.recordings.nodes import find_recordings
 
@@ -31,7 +31,9 @@ def plan(config: Mapping[str, Any], plugins: Catalogue, progress: FileProgress |
     if not isinstance(name, str):
         raise ClothbenchError(f"setting 'study' is {name!r}, expected one of {', '.join(plugins.names('studies'))}")
     study: Study = plugins.load("studies", name)
-    planned = study.plan(checked(config, plugins, study.suite_words), plugins, progress)
+    settings = checked(config, plugins, study.suite_words)
+    refuse_unsound(study, settings)
+    planned = study.plan(settings, plugins, progress)
     return list({cell.key: cell for cell in planned}.values())  # what is asked for twice is run once
 
 

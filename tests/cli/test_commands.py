@@ -595,6 +595,14 @@ def test_a_wrong_value_in_a_sweep_is_refused_before_its_first_job(clothbench, re
         (["+suite=physical_validation", "suite.tests=cantilever,cantilevver"], "cantilevver"),
         (["+suite=fold_over", "suite.path.lift=0.01,-1"], "setting 'suite.path.lift' is -1"),
         (["+suite=fold_phase_one", "suite.fold.fit=[eta_b],[]"], "setting 'suite.fold.fit' is empty"),
+        (
+            ["+suite=fold_phase_one", "suite.fold.fit=[eta_b],[grip_offset.dx]"],
+            "setting 'suite.fold.fit' begins with 'grip_offset.dx', expected 'eta_b'",
+        ),
+        (
+            ["+suite=physical_validation", "suite.effects.drag=quadratic_drag,{}"],
+            "setting 'suite.effects' has no 'drag', which the test 'terminal_speed' asks for",
+        ),
         (["+suite=speed", "suite.sides=[9],[]"], "setting 'suite.sides' is empty"),
     ],
 )

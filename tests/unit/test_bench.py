@@ -327,15 +327,13 @@ def test_speeds_are_kept_and_shown_as_a_study(tmp_path, monkeypatch):
     from clothbench.engine.store import Store
     from clothbench.plugins.discovery import catalogue
     from clothbench.report.page import write_page
-    from clothbench.studies.speed.cell import plan
+    from clothbench.studies.speed.cell import NOT_TIMED, plan, refuse_settings
 
     blank = dict.fromkeys(bench.KEYS)
     measured = {**blank, "model": "mass_spring", "nodes": 81, "threads": 1, "batch": 1, "node_steps_per_s": 5e7,
                 "realtime_factor": 9.0, "version": 2}  # fmt: skip
     rows = [measured | {"peer": p, "ratio": r} for p, r in (("one", 2.0), ("other", 4.0))]
     monkeypatch.setattr("clothbench.studies.speed.run.run_bench", lambda sides, progress, chosen: rows)
-    from clothbench.studies.speed.cell import NOT_TIMED
-
     settings = {**dict.fromkeys(NOT_TIMED, ()), "scene": {}, "suite": {"sides": [9]}, "model": ["mass_spring"]}
     (cell,) = plan(settings, catalogue())
     assert run_cell(cell, tmp_path) == "ok"
@@ -343,13 +341,13 @@ def test_speeds_are_kept_and_shown_as_a_study(tmp_path, monkeypatch):
     assert (row["study"], row["value"], row["unit"]) == ("speed", pytest.approx(0.02), "s")
     assert "mass_spring" in write_page(tmp_path).read_text()
     with pytest.raises(ClothbenchError, match="setting 'optimizer': speed is measured"):
-        plan({**settings, "optimizer": ["ga"]}, catalogue())
+        refuse_settings({**settings, "optimizer": ["ga"]})
     with pytest.raises(ClothbenchError, match="setting 'options': speed is measured"):
-        plan({**settings, "options": {"mass_spring": {"precision": "single"}}}, catalogue())
+        refuse_settings({**settings, "options": {"mass_spring": {"precision": "single"}}})
     with pytest.raises(ClothbenchError, match="setting 'timeout': speed is measured"):
-        plan({**settings, "timeout": 9.0}, catalogue())
+        refuse_settings({**settings, "timeout": 9.0})
     with pytest.raises(ClothbenchError, match="setting 'budget': speed is measured"):
-        plan({**settings, "budget": 3}, catalogue())
+        refuse_settings({**settings, "budget": 3})
 
 
 def test_each_size_of_sheet_is_measured_once_and_an_empty_list_is_none():

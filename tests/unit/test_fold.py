@@ -226,7 +226,7 @@ def test_settings_are_checked():
             r"'suite.fold.fit': no parameter 'eta_x'; did you mean 'eta_m'\? there",
         ),
         (
-            {"suite": {"fold": {"fit": ["grip_offset.dx"]}}, "effects": []},
+            {"suite": {"fold": {"fit": ["eta_b", "grip_offset.dx"]}}, "effects": []},
             "'suite.fold.fit': no parameter 'grip",
         ),
         ({"bounds": {"eta_x": [1.0, 2.0]}}, r"'bounds': no parameter 'eta_x'; did you mean 'eta_m'\? there are: eta_b"),

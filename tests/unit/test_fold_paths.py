@@ -14,7 +14,14 @@ from clothbench.engine.store import Store
 from clothbench.engine.study import Results
 from clothbench.engine.suite import plan as whole_plan
 from clothbench.plugins.discovery import catalogue
-from clothbench.studies.fold_path.cell import NOT_USED, FoldPathCell, PathSettings, chosen_ways, path_settings, plan
+from clothbench.studies.fold_path.cell import (
+    NOT_USED,
+    FoldPathCell,
+    PathSettings,
+    chosen_ways,
+    path_settings,
+    refuse_settings,
+)
 from clothbench.studies.fold_path.page import sections
 from clothbench.studies.fold_path.run import geometric, parameters
 from clothbench.studies.fold_path.sheet import led, material, scene
@@ -225,9 +232,9 @@ def test_settings_are_checked(given, told):
     assert chosen_ways(None) == ["computed", "triangular", "circular"]
     assert chosen_ways(["circular", "circular"]) == ["circular"]
     with pytest.raises(ClothbenchError, match="setting 'timeout': nothing is measured or fitted"):
-        plan({**dict.fromkeys(NOT_USED, ()), "timeout": 9.0, "scene": {}}, catalogue())
+        refuse_settings({**dict.fromkeys(NOT_USED, ()), "timeout": 9.0, "scene": {}})
     with pytest.raises(ClothbenchError, match="setting 'seed': nothing is measured or fitted"):
-        plan({**dict.fromkeys(NOT_USED, ()), "seed": 7, "scene": {}}, catalogue())
+        refuse_settings({**dict.fromkeys(NOT_USED, ()), "seed": 7, "scene": {}})
 
 
 def test_an_empty_choice_of_fabrics_is_none():

@@ -3,6 +3,7 @@
 import dataclasses
 import math
 from importlib.resources import files
+from types import SimpleNamespace
 
 import flat_video
 import numpy as np
@@ -132,6 +133,32 @@ def test_recordings_of_one_name_are_told_apart_by_their_cases(tmp_path):
 def test_wrong_settings_are_one_line(recordings_folder, change, found):
     with pytest.raises(ClothbenchError, match=found):
         plan({**BASE, "recordings": str(recordings_folder), **change}, catalogue())
+
+
+def test_what_a_study_refuses_it_refuses_before_it_plans():
+    """Its `plan` need not ask for that; what is called `check` may be anything."""
+    asked = []
+
+    class Asks:
+        name, against, suite_words, tables = "asks", "nothing", frozenset(), {}
+
+        def plan(self, settings, plugins, progress=None):
+            asked.append("plan")
+            return []
+
+        def check(self):
+            raise AssertionError
+
+    class Refuses(Asks):
+        def refuse_settings(self, settings):
+            asked.append(settings["seed"])
+
+    def planned(study):
+        plan({**BASE, "study": "asks", "seed": 3}, SimpleNamespace(plugins=(), load=lambda kind, name: study))
+
+    planned(Asks())
+    planned(Refuses())
+    assert asked == ["plan", 3, "plan"]
 
 
 def test_a_weight_that_nobody_knows_is_asked_for_before_anything_is_tracked(tmp_path):

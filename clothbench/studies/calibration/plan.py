@@ -33,7 +33,7 @@ from clothbench.studies.calibration.settings import analysis_settings, suite_set
 PRODUCT = ("model", "optimizer", "metric")
 
 
-def check(settings: Mapping[str, Any]) -> None:
+def refuse_settings(settings: Mapping[str, Any]) -> None:
     """Refuse what can be no setting of a calibration, whatever it is of."""
     require_plugins(settings, PRODUCT)
     suite_settings(settings["suite"])
@@ -45,7 +45,6 @@ def check(settings: Mapping[str, Any]) -> None:
 
 def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | None = None) -> list[CalibrationCell]:
     """Every cell of checked settings; all recordings are read and all plugins made once before any is run."""
-    check(settings)
     suite = suite_settings(settings["suite"], plugins.names("effects"))
     analyses = analysis_settings(settings["analysis"])
     recordings = read_all(where({**settings, "suite": suite}, progress))

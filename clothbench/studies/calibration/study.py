@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from typing import Any
 
 from clothbench.studies.calibration.page import sections
-from clothbench.studies.calibration.plan import check, plan
+from clothbench.studies.calibration.plan import plan, refuse_settings
 from clothbench.studies.calibration.run import run
 from clothbench.studies.calibration.schema import TABLES as tables
 from clothbench.studies.calibration.settings import SUITE_WORDS as suite_words
 from clothbench.studies.calibration.tables import show
 
-__all__ = ["against", "check", "claims", "name", "plan", "run", "sections", "show", "suite_words", "tables"]
+__all__ = ["against", "claims", "name", "plan", "refuse_settings", "run", "sections", "show", "suite_words", "tables"]
 
 name = "calibration"
 against = "recordings"

@@ -117,7 +117,7 @@ class FoldPathCell:
         return dict(self.options.get(name, {}))
 
 
-def check(settings: Mapping[str, Any]) -> None:
+def refuse_settings(settings: Mapping[str, Any]) -> None:
     """Refuse what can be no setting of a path, whatever follows it."""
     nothing = "nothing is measured or fitted in this suite"
     refuse(settings, NOT_USED, nothing, "this suite has a desk of its own")
@@ -135,7 +135,6 @@ def _product(suite: Mapping[str, Any]) -> tuple[list[str], list[str], PathSettin
 
 def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | None = None) -> list[FoldPathCell]:
     """Every cell of checked settings."""
-    check(settings)
     suite, cells = settings["suite"], []
     fabrics, ways, about = _product(suite)
     for fabric, way, model in itertools.product(fabrics, ways, settings["model"]):

@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from typing import Any
 
 from clothbench.studies.fold_path.cell import SUITE_WORDS as suite_words
-from clothbench.studies.fold_path.cell import check, plan
+from clothbench.studies.fold_path.cell import plan, refuse_settings
 from clothbench.studies.fold_path.page import sections
 from clothbench.studies.fold_path.run import run
 from clothbench.studies.fold_path.schema import TABLES as tables
 from clothbench.studies.fold_path.tables import show
 
-__all__ = ["against", "check", "claims", "name", "plan", "run", "sections", "show", "suite_words", "tables"]
+__all__ = ["against", "claims", "name", "plan", "refuse_settings", "run", "sections", "show", "suite_words", "tables"]
 
 name = "fold_path"
 against = "a desk with friction"

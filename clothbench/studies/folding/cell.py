@@ -119,7 +119,7 @@ class FoldingCell:
         return seed_of(self.case, self.fold.length, self.seed, purpose)
 
 
-def check(settings: Mapping[str, Any]) -> None:
+def refuse_settings(settings: Mapping[str, Any]) -> None:
     """Refuse what can be no setting of a fold, whatever folds it."""
     made = "the recordings of this suite are made as it runs"
     refuse(settings, NOT_RECORDED, made, "this suite has a strip on a desk")
@@ -130,7 +130,6 @@ def check(settings: Mapping[str, Any]) -> None:
 
 def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | None = None) -> list[FoldingCell]:
     """Every cell of checked settings; an option that a plugin does not have comes to light here."""
-    check(settings)
     suite, cells = settings["suite"], []
     spaces: list[ParameterSpace] = []
     lifted, fabrics = fold_settings(mapping("suite.fold", suite.get("fold"))), chosen_fabrics(selected(suite))
@@ -153,21 +152,14 @@ def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | 
             )
     if spaces:
         refuse_strays(settings, {name for space in spaces for name in space.names}, plugins)
-        refuse_not_estimated(settings, lifted.fit)
+        refuse_idle_bounds(settings, lifted.fit)
     for space in spaces:
         estimated(space, lifted, settings["bounds"])
     return cells
 
 
-def refuse_not_estimated(settings: Mapping[str, Any], fit: tuple[str, ...]) -> None:
-    """Refuse a first parameter that no fabric is known by, and bounds of what is not estimated; a suite's own may stand
-    where the command line estimates less.
-    """
-    if fit[0] != KNOWN:
-        raise ClothbenchError(
-            f"setting 'suite.fold.fit' begins with {fit[0]!r}, expected {KNOWN!r}: that is what fabrics are known by, "
-            "and what suite.fold.first is the first guess of"
-        )
+def refuse_idle_bounds(settings: Mapping[str, Any], fit: tuple[str, ...]) -> None:
+    """Refuse bounds of what is not estimated; a suite's own may stand where the command line estimates less."""
     own = settings.get(OF_SUITE, ())
     if idle := [name for name in settings["bounds"] if name not in fit and name not in own]:
         raise ClothbenchError(
@@ -215,6 +207,11 @@ def fold_settings(given: Mapping[str, Any]) -> FoldSettings:
     fit = tuple(words("suite.fold.fit", given.get("fit", list(known["fit"]))))
     if not fit:
         raise ClothbenchError("setting 'suite.fold.fit' is empty; name the parameters to estimate, the fabric's first")
+    if fit[0] != KNOWN:
+        raise ClothbenchError(
+            f"setting 'suite.fold.fit' begins with {fit[0]!r}, expected {KNOWN!r}: that is what fabrics are known by, "
+            "and what suite.fold.first is the first guess of"
+        )
     if twice := next((name for name in fit if fit.count(name) > 1), None):
         raise ClothbenchError(f"setting 'suite.fold.fit': {twice!r} is there twice; name each parameter once")
     return FoldSettings(steps=steps, fit=fit, **numbers)

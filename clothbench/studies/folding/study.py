@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from typing import Any
 
 from clothbench.studies.folding.cell import SUITE_WORDS as suite_words
-from clothbench.studies.folding.cell import check, plan
+from clothbench.studies.folding.cell import plan, refuse_settings
 from clothbench.studies.folding.page import sections
 from clothbench.studies.folding.run import run
 from clothbench.studies.folding.schema import TABLES as tables
 from clothbench.studies.folding.tables import show
 
-__all__ = ["against", "check", "claims", "name", "plan", "run", "sections", "show", "suite_words", "tables"]
+__all__ = ["against", "claims", "name", "plan", "refuse_settings", "run", "sections", "show", "suite_words", "tables"]
 
 name = "folding"
 against = "recordings"

@@ -46,7 +46,7 @@ NOT_ASKED = ("metric", "report", "analysis", "choice")
 OF_SCENE = ("areal_density", "air_density", "start")  # settings of the scene that the loop follows
 
 
-def check(settings: Mapping[str, Any]) -> None:
+def refuse_settings(settings: Mapping[str, Any]) -> None:
     """Refuse what can be no setting of the loop, whatever the recordings."""
     suite = settings["suite"]
     require_plugins(settings, ("model", "optimizer"))
@@ -62,7 +62,6 @@ def check(settings: Mapping[str, Any]) -> None:
 
 def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | None = None) -> list[ImproveCell]:
     """A cell for each model, with each optimizer; and for each fabric, where `suite.case` asks for that."""
-    check(settings)
     paths = where(settings, progress)
     stated = kind_of(paths[0])
     kind = stated if stated in (CURVES.kind, DRAPES.kind) else "nodes"

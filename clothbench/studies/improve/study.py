@@ -7,12 +7,12 @@ from typing import Any
 
 from clothbench.studies.improve.page import sections
 from clothbench.studies.improve.plan import SUITE_WORDS as suite_words
-from clothbench.studies.improve.plan import check, plan
+from clothbench.studies.improve.plan import plan, refuse_settings
 from clothbench.studies.improve.run import run
 from clothbench.studies.improve.schema import IMPROVE_TABLES as tables
 from clothbench.studies.improve.terminal import show
 
-__all__ = ["against", "check", "claims", "name", "plan", "run", "sections", "show", "suite_words", "tables"]
+__all__ = ["against", "claims", "name", "plan", "refuse_settings", "run", "sections", "show", "suite_words", "tables"]
 
 name = "improve"
 against = "what they lack"

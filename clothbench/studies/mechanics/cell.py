@@ -92,19 +92,19 @@ class MechanicsCell:
         return [("models", self.model), *(("effects", name) for name in self.effects)]
 
 
-def check(settings: Mapping[str, Any]) -> None:
+def refuse_settings(settings: Mapping[str, Any]) -> None:
     """Refuse what can be no setting of the tests, whatever models they are of."""
     fitted = "the tests of this suite are not fitted to anything"
     refuse(settings, NOT_FITTED, fitted, "the tests of this suite bring their own scenes")
     refuse_of_searches(settings, fitted)
-    chosen_tests(words("suite.tests", settings["suite"].get("tests")))
     mesh_sizes(settings["suite"].get("meshes"))
-    mapping("suite.effects", settings["suite"].get("effects"))
+    effects = mapping("suite.effects", settings["suite"].get("effects"))
+    for test in chosen_tests(words("suite.tests", settings["suite"].get("tests"))):
+        _standing_for(test, effects)
 
 
 def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | None = None) -> list[MechanicsCell]:
     """Every cell of checked settings; what the user got wrong in a model's options comes to light here."""
-    check(settings)
     suite, cells = settings["suite"], []
     tests, meshes = chosen_tests(words("suite.tests", suite.get("tests"))), mesh_sizes(suite.get("meshes"))
     effects = mapping("suite.effects", suite.get("effects"))
@@ -139,7 +139,7 @@ def require_parameters(cell: MechanicsCell, plugins: Catalogue) -> None:
 def _standing_for(test: str, effects: Mapping[str, Any]) -> dict[str, str]:
     """The effects by name that stand for what a test asks for."""
     for wanted in check_named(test).effects:
-        if wanted not in effects:
+        if effects.get(wanted) is None:
             raise ClothbenchError(
                 f"setting 'suite.effects' has no {wanted!r}, which the test {test!r} asks for; name an effect for it"
             )

@@ -62,7 +62,7 @@ class SpeedCell:
         return f"speed of {self.model}"
 
 
-def check(settings: Mapping[str, Any]) -> None:
+def refuse_settings(settings: Mapping[str, Any]) -> None:
     """Refuse what can be no setting of a measurement, whatever is measured."""
     refuse(settings, NOT_TIMED, "speed is measured on a scene of its own, with options of each model's own",
            "speed is measured on a scene of its own")  # fmt: skip
@@ -72,7 +72,6 @@ def check(settings: Mapping[str, Any]) -> None:
 
 def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | None = None) -> list[SpeedCell]:
     """One cell, whatever there is to measure."""
-    check(settings)
     sides = mesh_sides(settings["suite"].get("sides"))
     models = tuple(dict.fromkeys(settings["model"]))
     peers = tuple(peer.name for peer, reason in peers_in(plugins) if reason is None)
