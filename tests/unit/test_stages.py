@@ -195,7 +195,7 @@ def test_another_search_of_the_cell_has_time_of_its_own(recordings_folder):
 @pytest.mark.parametrize(("searched_by", "status"), [(True, "error"), (False, "skipped")])
 def test_a_further_metric_without_a_number_leaves_the_cell_finished(searched_by, status):
     whole, nothing = SimpleNamespace(status=("ok",), reasons=()), Score(np.array([np.nan]), "m")
-    found, reason = _status(SimpleNamespace(status="ok", stopped=""), nothing, whole, searched_by)
+    found, reason = _status(SimpleNamespace(status="ok", stopped=""), nothing, whole, searched_by, None)
     assert (found, found in FINISHED) == (status, not searched_by)
     assert "could not be computed" in reason
 
@@ -203,4 +203,4 @@ def test_a_further_metric_without_a_number_leaves_the_cell_finished(searched_by,
 def test_whatever_an_optimizer_says_of_its_end_is_one_line_of_a_row():
     whole, found = SimpleNamespace(status=("ok",), reasons=()), Score(np.array([1.0]), "m")
     for said, kept in (("converged", "converged"), ("two\nlines", "two lines"), (3, "3")):
-        assert _status(SimpleNamespace(status="ok", stopped=said), found, whole, True) == ("ok", kept)
+        assert _status(SimpleNamespace(status="ok", stopped=said), found, whole, True, None) == ("ok", kept)
