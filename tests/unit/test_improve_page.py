@@ -15,6 +15,7 @@ from clothbench.studies.improve.figures import stage_figure
 from clothbench.studies.improve.missing_page import balance_section
 from clothbench.studies.improve.page import page_html
 from clothbench.studies.improve.schema import IMPROVE_TABLES
+from clothbench.studies.improve.terminal import verdict_lines
 from clothbench.studies.improve.words import chance, p_is, remains, sentence, sham
 
 NOTHING = {name: [] for name in IMPROVE_TABLES}
@@ -243,6 +244,17 @@ def test_a_split_that_no_recording_states_is_told_on_the_page(drawn, held, said)
     page = page_html(found, NOTHING)
     assert ("states a split" in page) == bool(said)
     assert said in page
+
+
+@pytest.mark.parametrize(("stated", "said"), [(False, True), (True, False), (None, False)])
+def test_noise_that_no_recording_states_is_told_as_an_estimate(stated, said):
+    found = verdict("complete")
+    assert "neighbouring frames jump" not in page_html(found, NOTHING)  # of a verdict that was kept before it was told
+    found["error_mm"]["noise_stated"] = stated
+    line = "Not all recordings state their noise; it was told from how much neighbouring frames jump."
+    assert (line in page_html(found, NOTHING)) == said
+    terminal = "\n".join(verdict_lines(found))
+    assert ("not all recordings state their noise; it was told" in terminal) == said
 
 
 def test_every_family_of_effects_has_a_picture_and_no_other():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from clothbench.core.statistics import jackknife_half_width, standing_out, t_interval, uncut_half
+from clothbench.core.statistics import differences, jackknife_half_width, standing_out, t_interval, uncut_half
 from clothbench.engine.judgement import half
 
 
@@ -43,3 +43,13 @@ def test_half_of_an_interval_that_is_cut_at_0_is_its_longer_side():
     assert uncut_half(5.0, 3.0, 7.0) == 2.0
     assert half({"value": 1.0, "low": 0.0, "high": 3.0}) == 2.0
     assert half({"value": 1.0, "low": None, "high": None}) == 0.0
+
+
+@pytest.mark.parametrize("order", [3, 4, 5, 6, 7])
+def test_differences_have_the_noise_of_one_sample_and_nothing_of_a_polynomial(order):
+    random = np.random.default_rng(order)
+    at = np.sort(np.arange(4000) / 30 + random.uniform(-0.2, 0.2, 4000) / 30)
+    assert differences(at, random.normal(size=4000), order).std() == pytest.approx(1, rel=0.05)
+    near = at[:40] - at[20]
+    assert differences(near, near ** (order - 1), order) == pytest.approx(0, abs=1e-9)
+    assert len(differences(at[:order], at[:order], order)) == 0
