@@ -272,6 +272,17 @@ def test_a_split_that_no_recording_states_is_told_on_the_page(drawn, held, said)
     assert said in page
 
 
+@pytest.mark.parametrize(("stated", "said"), [(False, True), (True, False), (None, False)])
+def test_noise_that_no_recording_states_is_told_as_an_estimate(stated, said):
+    found = verdict("complete")
+    assert "neighbouring frames jump" not in page_html(found, NOTHING)  # of a verdict that was kept before it was told
+    found["error_mm"]["noise_stated"] = stated
+    line = "Not all recordings state their noise; it was told from how much neighbouring frames jump."
+    assert (line in page_html(found, NOTHING)) == said
+    terminal = "\n".join(verdict_lines(found))
+    assert ("not all recordings state their noise; it was told" in terminal) == said
+
+
 def test_every_family_of_effects_has_a_picture_and_no_other():
     assert set(DRAWINGS) == set(EFFECT_FAMILIES)
     for family in EFFECT_FAMILIES:

@@ -134,6 +134,13 @@ def drawn(found: Mapping[str, Any]) -> str:
     return f"No recording states a split; {rest}."
 
 
+def noise_told(error: Mapping[str, Any]) -> str:
+    """That the noise is an estimate; "" where recordings state it, or where an older verdict has no word on it."""
+    if error.get("noise_stated") is not False:
+        return ""
+    return "Not all recordings state their noise; it was told from how much neighbouring frames jump."
+
+
 def sentence(found: Mapping[str, Any]) -> str:
     """The verdict as HTML."""
     error, model = errors_of(found), f"<b>{text(found['model'])}</b>"
