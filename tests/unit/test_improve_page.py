@@ -153,8 +153,8 @@ def test_curves_are_told_in_newtons():
         (verdict("complete"), "lacks nothing above the noise: 5.00 mm on the held-out recordings"),
         (
             verdict("unexplained"),
-            "leaves 0.50 mm beyond noise and mesh on the recordings fitted (4.75 mm) for which no effect can be named; 5.00 "
-            "mm on the held-out recordings",
+            "leaves 0.50 mm beyond noise and mesh on the recordings fitted (4.75 mm) for which no effect can be named; "
+            "5.00 mm on the held-out recordings",
         ),
         (
             verdict("unexplained", unexplained_mm=24**0.5),
