@@ -6,10 +6,17 @@ for: scipy.stats takes half a second to import and this a quarter, which every c
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import scipy
 
 NORMAL = 1.4826  # times the median absolute value of what is normally distributed about 0: its σ
+FEW = {1: 2.198, 2: 2.007}  # differences: how often σ² the square of `noise_of_each` is, of normal values
+HIGHER = (4, 5, 6, 7)  # orders of differences that have less of fast motion left than the third
+SHOWN = 8  # differences of one series, for a higher order to have a say on it: of fewer it tells too little
+BY_CHANCE = 2.0  # over the root of how many differences there are: the share by which one order tells less by chance
+WITHOUT_NOISE = 1e-3  # of the most that a series shows as its noise: one that shows less was written without any
 
 
 def student(freedom: float, of: int = 1) -> float:
@@ -69,19 +76,64 @@ def repeated(values: np.ndarray, known: float) -> np.ndarray:
 
 
 def third_differences(at: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Third divided differences (M, …) of neighbouring samples (T, …) at places (T,) that rise, in units of their σ:
-    what is smooth is hardly left. Samples with others missing between them, as far apart as twice as many
-    usually are, have no say: the curve would pass for noise.
+    """Third divided differences (M, …) of neighbouring samples (T, …) at places (T,), as `differences` has them."""
+    return differences(at, values, 3)
+
+
+def differences(at: np.ndarray, values: np.ndarray, order: int) -> np.ndarray:
+    """Divided differences (M, …) of some order, of neighbouring samples (T, …) at places (T,) that rise, in units of
+    their σ: what is smooth is hardly left, and of faster motion less with every order. Samples with others missing
+    between them, as far apart as twice as many usually are, have no say: the curve would pass for noise.
     """
-    if len(at) < 4:
+    if len(at) <= order:
         return np.zeros((0, *values.shape[1:]))
-    four = np.stack([at[k : len(at) - 3 + k] for k in range(4)], axis=1)
-    apart = four[:, :, None] - four[:, None] + np.eye(4)  # 1 on the diagonal, which is left out of the product so
+    some = np.stack([at[k : len(at) - order + k] for k in range(order + 1)], axis=1)
+    apart = some[:, :, None] - some[:, None] + np.eye(order + 1)  # 1 on the diagonal: left out of the product
     weight = 1 / apart.prod(axis=2)
     weight /= np.sqrt(np.square(weight).sum(axis=1, keepdims=True))
-    near = four[:, 3] - four[:, 0] <= 2 * np.median(four[:, 3] - four[:, 0])
-    parts = [(weight[near, k] * values[k : len(at) - 3 + k][near].T).T for k in range(4)]
+    near = some[:, order] - some[:, 0] <= 2 * np.median(some[:, order] - some[:, 0])
+    parts = [(weight[near, k] * values[k : len(at) - order + k][near].T).T for k in range(order + 1)]
     return np.asarray(np.sum(parts, axis=0))
+
+
+def noise_among_neighbours(at: np.ndarray, values: np.ndarray, least: float = 0.0) -> float:
+    """σ of white noise on C series (T, C) at places (T,) that rise, NaN where a sample is missing: the rms of what each
+    shows as its own, which is no less than `least`; NaN where none is long enough. Series without noise do not count.
+
+    Third differences show it. Where what is measured moves fast beside the samples, much of it passes for noise in
+    them: they tell by so much too much as one of the higher orders tells less of the same series, if that is no chance.
+    """
+    third, count = noise_of_each(at, values, 3)
+    if not count.any():
+        return math.nan
+    third = np.maximum(third, least)
+    noisy, share = (count > 0) & (third >= WITHOUT_NOISE * third[count > 0].max()), 1.0
+    for order in HIGHER:
+        each, differ = noise_of_each(at, values, order)
+        known = noisy & (differ >= SHOWN)
+        if known.any() and (before := weighted_rms(third[known], differ[known])) > 0:
+            less = weighted_rms(np.maximum(each, least)[known], differ[known]) / before
+            share = min(share, less) if less < 1 - BY_CHANCE / math.sqrt(differ[known].sum()) else share
+    return share * weighted_rms(third[noisy], count[noisy])
+
+
+def noise_of_each(at: np.ndarray, values: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:
+    """σ of each of C series (T, C) as its differences of an order show it, (C,), 0 where it has none; and how many it
+    has (C,). It is their median absolute value, which jumps hardly change; of n of them its square comes out too large
+    by (order + 5)/(2n + 2), found by simulation, and of one or two as `FEW` has it.
+    """
+    found = differences(at, values, order)
+    count = np.isfinite(found).sum(axis=0)
+    each, some = np.zeros(count.shape), count > 0
+    if some.any():
+        n = count[some]
+        too_large = np.select([n == few for few in FEW], list(FEW.values()), 1 + (order + 5) / (2 * n + 2))
+        each[some] = NORMAL * np.nanmedian(np.abs(found[:, some]), axis=0) / np.sqrt(too_large)
+    return each, count
+
+
+def weighted_rms(values: np.ndarray, weight: np.ndarray) -> float:
+    return float(np.sqrt(np.average(np.square(values), weights=weight)))
 
 
 def sobol(dimensions: int, random: np.random.Generator, count: int) -> np.ndarray:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from clothbench.core.brief import brief
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.optional import start_of, temperature_of
 from clothbench.core.parameters import ParameterSpace
@@ -49,6 +50,8 @@ class Fit:
     objectives: np.ndarray | None = None
     temperature: np.ndarray | None = None
     seed: int | None = None
+
+    __repr__ = brief
 
     @property
     def evaluations(self) -> int:

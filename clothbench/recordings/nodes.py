@@ -40,9 +40,11 @@ from clothbench.core.scene import Obstacle
 from clothbench.recordings.codec import freeze, hash_of, read, write
 from clothbench.recordings.layout import SPLITS, Arrays, Layout, Part, Stated, Variable
 from clothbench.recordings.nodes_rules import (
+    between_stamps,
     check_clock,
     check_density,
     check_gravity,
+    check_grip_order,
     check_noise,
     check_overlap,
     check_pace,
@@ -194,9 +196,7 @@ def write_recording(recording: Recording, path: str | os.PathLike[str]) -> Path:
 
 def grips_at(recording: Any, time: np.ndarray) -> np.ndarray:
     """Grip positions (T, G, 3) m of a recording of nodes, or of a cloud, at the frames' times (T,) s."""
-    grips = recording.grip_position.reshape(len(recording.grip_time), -1)
-    at = [np.interp(time, recording.grip_time, column) for column in grips.T]
-    return np.stack(at, axis=1).reshape(len(time), -1, 3)
+    return between_stamps(time, recording.grip_time, recording.grip_position)
 
 
 def find_recordings(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
@@ -243,6 +243,8 @@ def _check(r: Recording, where: str) -> None:
         check_scale(arrays, size, where, read=bool(r.path))
     check_overlap(r.time, r.grip_time, r.grip_position, where)
     carry = any(o.carried for o in r.obstacles or ())  # then grips need not hold any cloth
+    if r.sight is None and not carry:
+        check_grip_order(arrays, float(np.hypot(*size)), where)
     check_supports(r.outline, r.thickness, r.grip_material[:0] if carry else r.grip_material, size, where)
 
 

@@ -27,8 +27,8 @@ APART, SHRUNK = 50.0, 0.01  # of its own size, as which a cloth may at most and 
 STILL = 1e-3  # m, as which a grip may be away from where it was and have been held still: what its place is known to
 STRAYED = 10.0  # of its size, as which a node may be from the middle of the others; in recordings it is up to 0.5
 TREMBLING = 0.25  # of the cloth's longer side, up to which positions may be wrong
-NEAREST, STRETCHED = 4, 1.5  # nodes beside a grip, and times as far from it as on the cloth as they may be in space
-ASIDE = 0.15  # of its size, as which they may be farther still: cameras and grips may be known in frames that differ
+STRETCHED = 1.5  # times as far from a grip as on the cloth as a node may be in space
+ASIDE = 0.15  # of its size, as which it may be farther still: cameras and grips may be known in frames that differ
 FARTHEST = 1e6  # m from the origin that cloth and grips may be; sums and squares of what is farther may overflow
 
 
@@ -134,8 +134,6 @@ def check_scale(arrays: Arrays, size: np.ndarray, where: str, read: bool) -> Non
         )
     check_strays(arrays["position"], across, where)
     check_grips_near(grips, [places for places, _ in seen], across, where)
-    if spread.max() > 0:
-        check_grip_order(arrays, across, where)
 
 
 def check_spread(spread: np.ndarray, across: float, where: str, what: str = "nodes", name: str = "position") -> None:
@@ -168,28 +166,36 @@ def check_grips_near(
 
 
 def check_grip_order(arrays: Arrays, across: float, where: str) -> None:
-    """Each grip comes at some time as near to the nodes beside it as cloth, `across` m from corner to corner, allows.
+    """Each grip comes at some time as near to the node beside it as cloth, `across` m from corner to corner, allows.
 
     Grips in another order than their places on the cloth, or nodes counted from another corner, hold a sheet that is
-    turned over or twisted, which no model could follow.
+    turned over or twisted, which no model could follow. Positions that are all one are yet to be filled in.
     """
     time, position, material = arrays["time"], arrays["position"], arrays["material"]
     held = while_held(time, arrays["grip_time"], arrays["grip_position"])
-    at = np.searchsorted(arrays["grip_time"], time[held]).clip(max=len(arrays["grip_time"]) - 1)
+    grips = between_stamps(time[held], arrays["grip_time"], arrays["grip_position"])
+    there = np.isfinite(position[held]).all(axis=2)
+    seen = np.flatnonzero(there.any(axis=0))
+    if not seen.size or not np.ptp(position[held][there], axis=0).any():
+        return
     for grip, place in enumerate(arrays["grip_material"]):
-        apart = np.linalg.norm(material - place, axis=1)
-        beside = np.argsort(apart, kind="stable")[:NEAREST]
-        away = np.linalg.norm(position[held][:, beside] - arrays["grip_position"][at, grip][:, None], axis=2)
-        excess = away - STRETCHED * apart[beside]
-        if np.isfinite(excess).any() and np.nanmin(excess) > ASIDE * across:
-            frame, nearest = np.unravel_index(np.nanargmin(excess), excess.shape)
-            node = beside[nearest]
+        apart = np.linalg.norm(material[seen] - place, axis=1)
+        node, beside = seen[np.argmin(apart)], float(apart.min())
+        away = float(np.nanmin(np.linalg.norm(position[held][:, node] - grips[:, grip], axis=1)))
+        if away > STRETCHED * beside + ASIDE * across:
             raise ClothbenchError(
                 f"{where}: variable 'grip_position': found grip {grip} at no time nearer to node {node} than "
-                f"{away[frame, nearest]:.2g} m, expected {STRETCHED * apart[node] + ASIDE * across:.2g} m at most, as "
-                f"it is {apart[node]:.2g} m from it on the cloth; are grips, or nodes, in another order than "
-                "their places on the cloth?"
+                f"{away:.2g} m, expected {STRETCHED * beside + ASIDE * across:.2g} m at most, as it is {beside:.2g} m "
+                "from it on the cloth; are grips, or nodes, in another order than their places on the cloth?"
             )
+
+
+def between_stamps(time: np.ndarray, grip_time: np.ndarray, grip_position: np.ndarray) -> np.ndarray:
+    """Grip positions (T, G, 3) m at times (T,) s, on straight lines between the stamps (K,) s at which they are known,
+    (K, G, 3) m.
+    """
+    columns = grip_position.reshape(len(grip_time), -1).T
+    return np.array([np.interp(time, grip_time, column) for column in columns]).T.reshape(len(time), -1, 3)
 
 
 def spreads(places: np.ndarray) -> np.ndarray:

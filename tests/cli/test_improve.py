@@ -296,7 +296,7 @@ def test_json_is_the_document_and_nothing_else(place):
     assert found == json.loads((place / "plain" / "verdict.json").read_text())
     assert (found["verdict"], found["effects"], found["seed"]) == ("unexplained", [], 3)
     assert found["error_mm"]["held_out"]["before"] == found["error_mm"]["held_out"]["after"]
-    assert "that no candidate explains" in (place / "plain" / "index.html").read_text()
+    assert "for which no effect can be named" in (place / "plain" / "index.html").read_text()
 
 
 def test_run_asks_the_same_question_as_improve(place, clothbench):

@@ -102,7 +102,7 @@ def test_the_page_says_that_each_lacks_something_else():
     found = common_document([verdict("springs", "bending"), verdict("triangles", "drag")])
     assert found["verdict"] == "unexplained"
     assert "lacks is nothing that they have in common" in common_html(found)
-    assert "no candidate explains" not in common_html(found)
+    assert "no effect can be named" not in common_html(found)
 
 
 def test_where_nothing_is_in_common_the_errors_are_of_the_calibrated_fit():
@@ -113,7 +113,7 @@ def test_where_nothing_is_in_common_the_errors_are_of_the_calibrated_fit():
     assert error["held_out"]["after"] == error["held_out"]["before"] == 5.0
     assert found["unexplained_mm"] > 4.9
     assert "only <b>a</b> has something to say" in sentence(found)
-    assert "no candidate explains" not in sentence(found)
+    assert "no effect can be named" not in sentence(found)
 
 
 def test_where_nothing_is_in_common_the_best_calibrated_model_stands():

@@ -21,7 +21,7 @@ from clothbench.engine.checkpoint import Checkpoint
 from clothbench.plugins.discovery import catalogue
 from clothbench.studies import improve as room
 from clothbench.studies.improve.cell import ImproveCell
-from clothbench.studies.improve.document import document_in, verdict_document
+from clothbench.studies.improve.document import document_in, noise_stated, verdict_document
 from clothbench.studies.improve.files import publish, require_own_page, rerun_files, write_files
 from clothbench.studies.improve.fitting import fit, search_settings
 from clothbench.studies.improve.loop import improve
@@ -30,7 +30,7 @@ from clothbench.studies.improve.problem import residuals
 from clothbench.studies.improve.run import leaderboard_rows
 from clothbench.studies.improve.schema import IMPROVE_TABLES
 from clothbench.studies.improve.sheet_tables import summary
-from clothbench.studies.improve.sheets import SheetCase, noise_of
+from clothbench.studies.improve.sheets import SheetCase, SheetEvidence, noise_of
 from clothbench.studies.improve.tables import drift_rows, finding_tables
 
 FOLDER = Path(room.__file__).parent
@@ -279,6 +279,54 @@ def test_noise_is_told_from_motion_though_frames_are_missing():
 
     for stamps in (time, time[random.random(len(time)) > 0.25], np.sort(time + random.uniform(-0.2, 0.2, 180) / 30)):
         assert seen(stamps) == pytest.approx(1e-3, rel=0.15)
+
+
+@pytest.mark.parametrize("rate", [10, 15, 30, 60, 120])
+def test_noise_is_told_from_motion_that_is_fast_beside_the_frames(rate):
+    """1 mm, of cloth that swings by 0.2 m once in a second; third differences alone told 8 mm at 10 frames a second."""
+    random, time = np.random.default_rng(1), np.arange(60) / rate
+    away = 0.2 * np.sin(2 * np.pi * time[:, None] + random.uniform(0, 6, 64))
+    position = np.stack([0 * away, away, 0 * away], axis=2) + random.normal(0, 1e-3, (60, 64, 3))
+    seen, material = np.ones((60, 64), bool), random.random((64, 2))
+    assert noise_of(Observation(time, position, seen, np.nan, material)) == pytest.approx(1e-3, rel=0.04)
+    assert noise_of(Observation(time, position, seen, 3e-3, material)) == 3e-3  # as it is stated
+
+
+@pytest.mark.parametrize("nodes", [1, 4, 25])
+def test_the_least_of_several_orders_is_not_told_too_low(nodes):
+    random, count = np.random.default_rng(7), 100 if nodes < 25 else 30
+    told = [noise_in(random.normal(0, 1e-3, (40, nodes, 3))) for _ in range(count)]
+    assert np.mean(np.square(told)) ** 0.5 == pytest.approx(1e-3, rel=0.03)
+
+
+def test_a_verdict_says_whether_its_noise_is_stated():
+    material, time = np.zeros((4, 2)), np.arange(60) / 30
+    position = np.random.default_rng(0).normal(0, 1e-3, (60, 4, 3))
+
+    def stated(*sigmas: float, noise: float) -> bool | None:
+        seen = [Observation(time, position, np.ones((60, 4), bool), sigma, material) for sigma in sigmas]
+        cases = tuple(SheetCase(f"r{k}", "fit", None, one, None) for k, one in enumerate(seen))
+        return noise_stated(SimpleNamespace(evidence=SheetEvidence(cases), noise=noise))
+
+    assert stated(1e-3, 1e-3, noise=1e-3) is True
+    told = noise_in(position)
+    assert stated(np.nan, np.nan, noise=told) is False
+    assert stated(1e-3, np.nan, noise=np.hypot(1e-3, told) / 2**0.5) is False
+    assert stated(np.nan, np.nan, noise=5e-3) is None  # between repeats
+    finding = improve(problem_of(runs(0, lambda e: 0.05 * np.expm1(9 * e))), ["load_offset"])
+    assert verdict_document(finding)["error"]["noise_stated"] is None  # between runs
+
+
+def test_a_verdict_that_nothing_is_missing_has_no_law_of_what_is():
+    finding = improve(problem_of(runs(0, lambda e: 0.05 * np.expm1(9 * e))), ["load_offset"])
+    past = SimpleNamespace(shares={"velocity": 0.99}, lag=[0.0], value=[0.1], low=[0.0], high=[0.2])
+    law = SimpleNamespace(formula="f = −1.27 v_n n", p_value=0.005, alike=())
+    finding = dataclasses.replace(finding, balance=SimpleNamespace(past=past, law=law, recordings=(5, 5)))
+    for word, formula in (("unexplained", law.formula), ("complete", None)):
+        document = verdict_document(dataclasses.replace(finding, verdict=word))
+        assert document["balance"]["formula"] == formula
+        assert document["description"] is None
+        assert ("sparsest law" in page_html(document, finding_tables(finding))) == (word != "complete")
 
 
 def noise_in(position: np.ndarray) -> float:

@@ -15,7 +15,7 @@ from clothbench.cli.improve import command
 from clothbench.plugins.discovery import catalogue
 from clothbench.studies.improve.balance import delayed, late, power, terms
 from clothbench.studies.improve.described import NUMBERS, Described
-from clothbench.studies.improve.law import Amount, Law, Series, as_good_as, chance, jackknife, law_of
+from clothbench.studies.improve.law import Amount, Law, Series, as_good_as, chance, jackknife, law_of, selected
 from clothbench.studies.improve.motion import Motion, bridged, motion_of, smoothed, steady_axes
 from clothbench.studies.improve.settings import LOOP
 from clothbench.studies.improve.torque import LAGS, balance_of, kernel_of, left_out, of_past, past_of, smoothest
@@ -280,6 +280,28 @@ def test_a_first_term_stands_for_those_that_predict_as_much():
     series = Series(missing, [-v for v in speeds], columns, 0.01, 1 / 30, [0, 0, 1], np.zeros(3, bool))
     assert as_good_as(series, 0, series.errors(())) == [1]
     assert as_good_as(series, 1, series.errors(())) == [0]
+
+
+@pytest.mark.parametrize(("damping", "chosen"), [(0.95, [0]), (-0.95, [])])
+def test_a_term_that_makes_up_for_negative_damping_is_no_law(damping, chosen):
+    random, time = np.random.default_rng(1), np.arange(150) / 30
+    speeds = [np.sin(2 * np.pi * rate * time + rate) for rate in (0.6, 0.9, 1.1, 1.4)]
+    columns = [(-v + 0.3 * random.normal(size=len(v)))[:, None] for v in speeds]
+    missing = [-damping * v + 1.27 * c[:, 0] + 0.01 * random.normal(size=len(v))
+               for v, c in zip(speeds, columns, strict=True)]  # fmt: skip
+    series = Series(missing, [-v for v in speeds], columns, 0.01, 1 / 30, [0], np.zeros(1, bool))
+    assert selected(series, series.errors(()))[0] == chosen
+    assert series.amounts([0])[0] == pytest.approx(damping, rel=0.05)
+
+
+def test_damping_that_may_be_none_speaks_against_no_law():
+    random, time = np.random.default_rng(1), np.arange(150) / 30
+    speeds = [np.sin(2 * np.pi * rate * time + rate) for rate in (0.6, 0.9, 1.1, 1.4)]
+    missing = [-np.abs(v) * v + 0.3 * random.normal(size=len(v)) for v in speeds]
+    columns = [(-np.abs(v) * v)[:, None] for v in speeds]
+    series = Series(missing, [-v for v in speeds], columns, 0.3, 1 / 30, [0], np.zeros(1, bool))
+    assert series.amounts([0])[0] < 0
+    assert selected(series, series.errors(()))[0] == [0]
 
 
 def drawn_series() -> Series:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,16 +15,28 @@ MATERIAL = np.array([[0.0, 0.1], [0.0, 0.5], [0.0, 0.9]])
 SIGMA = 2e-3
 
 
-def swung(name: str, hertz: float, late: float, first: float = 0.0, sway: float = 0.0, clock: float = 0.0) -> SheetCase:
-    """A grip that starts to swing after `late` seconds; frames from `first` s on, at 25 Hz. sway: m, of the nodes;
-    clock: s, at which the recording begins.
+def swung(
+    name: str,
+    hertz: float,
+    late: float,
+    first: float = 0.0,
+    sway: float = 0.0,
+    clock: float = 0.0,
+    swings: float = np.inf,
+    settles: float = np.inf,
+    blur: float = 0.0,
+    sigma: float = 1e-4,
+) -> SheetCase:
+    """A grip that starts to swing after `late` seconds, so many times; frames from `first` s on, at 25 Hz. sway: m, of
+    the nodes, which come to rest in `settles` s; clock: s, at which the recording begins; blur: m, noise of the log of
+    the grip; sigma: m, that the observation states.
     """
-    grip_time = np.arange(0, 8, 0.01)
-    path = 0.1 * np.sin(2 * np.pi * hertz * np.maximum(grip_time - late, 0.0))
-    grips = np.stack([path, 0 * path, 0 * path], axis=-1)[:, None]
+    grip_time, random = np.arange(0, 8, 0.01), np.random.default_rng(len(name))
+    path = 0.1 * np.sin(2 * np.pi * np.clip(hertz * (grip_time - late), 0.0, swings))
+    grips = np.stack([path, 0 * path, 0 * path], axis=-1)[:, None] + blur * random.normal(size=(len(path), 1, 3))
     time = np.arange(first, 7.5, 0.04)
-    position = np.zeros((len(time), 3, 3)) + sway * np.sin(5 * time)[:, None, None]
-    observation = Observation(clock + time, position, np.ones((len(time), 3), bool), 1e-4, MATERIAL)
+    position = np.zeros((len(time), 3, 3)) + (sway * np.sin(5 * time) * np.exp(-time / settles))[:, None, None]
+    observation = Observation(clock + time, position, np.ones((len(time), 3), bool), sigma, MATERIAL)
     recording = SimpleNamespace(grip_time=clock + grip_time, grip_position=grips, grip_material=np.zeros((1, 2)))
     return SheetCase(name, "fit", recording, observation, None)
 
@@ -65,3 +78,41 @@ def test_in_grips_that_stand_still_a_repeat_is_a_sheet_that_does(moved, found):
 
 def test_other_motions_are_no_repeats():
     assert spread(swung("one", 0.8, 0.3), swung("slower", 0.6, 0.3), swung("far later", 0.8, 4.0)) == 0.0
+
+
+@pytest.mark.parametrize("swings", [1.0, 2.0, 4.0])
+def test_a_motion_that_ends_long_before_the_recording_is_a_motion(swings):
+    """Its grip stands still for most of the time, and the sheet does not."""
+    one, other = (swung(name, 0.8, late, sway=0.05, swings=swings) for name, late in (("one", 0.3), ("other", 0.7)))
+    assert spread(one, other, late=(0.0, 0.4)) == pytest.approx(SIGMA, rel=0.1)
+
+
+@pytest.mark.parametrize("settles", [0.3, 0.6, 2.0])
+def test_sheets_that_were_let_go_are_no_repeats_though_they_come_to_rest(settles):
+    assert spread(*(swung(name, 0.0, 0.0, sway=sway, settles=settles) for name, sway in (("a", 0.1), ("b", -0.1)))) == 0
+
+
+@pytest.mark.parametrize("blur", [1e-3, 3e-3])
+def test_noise_of_the_grips_logs_hides_no_repeat(blur):
+    one, other = swung("one", 0.8, 0.3, blur=blur), swung("other", 0.8, 0.7, 0.4, blur=blur)
+    assert spread(one, other, late=(0.0, 0.4)) == pytest.approx(SIGMA, rel=0.15)
+    still = [swung(name, 0.0, 0.0, blur=blur) for name in ("one", "other")]
+    assert spread(*still) == pytest.approx(SIGMA, rel=0.1)
+    assert spread(one, swung("slower", 0.6, 0.3, blur=blur), swung("far later", 0.8, 4.0, blur=blur)) == 0.0
+
+
+def test_a_sheet_at_rest_is_known_for_one_though_nobody_states_its_noise():
+    cases = []
+    for name in ("one", "other"):
+        case = swung(name, 0.0, 0.0, sigma=np.nan)
+        seen, random = case.observation, np.random.default_rng(len(name))
+        position = seen.position + random.normal(0, SIGMA, seen.position.shape)
+        cases.append(dataclasses.replace(case, observation=dataclasses.replace(seen, position=position)))
+    assert spread(*cases) == pytest.approx(SIGMA, rel=0.1)
+
+
+def test_grips_that_are_alike_only_while_they_stand_still_were_not_moved_alike():
+    """One moves at the beginning, the other at the end: while both rest, the sheet of the first still swings."""
+    first = swung("first", 2.0, 0.2, sway=0.05, settles=2.0, swings=1.0)
+    last = swung("last", 2.0, 7.2, swings=1.0)
+    assert spread(first, last) == spread(last, first) == 0.0

@@ -153,10 +153,13 @@ def test_curves_are_told_in_newtons():
         (verdict("complete"), "lacks nothing above the noise: 5.00 mm on the held-out recordings"),
         (
             verdict("unexplained"),
-            "leaves 0.50 mm beyond noise and mesh on the recordings fitted (4.75 mm) that no candidate explains; 5.00 "
-            "mm on the held-out recordings",
+            "leaves 0.50 mm beyond noise and mesh on the recordings fitted (4.75 mm) for which no effect can be named; "
+            "5.00 mm on the held-out recordings",
         ),
-        (verdict("unexplained", unexplained_mm=24**0.5), "beyond noise and mesh that no candidate explains: 5.00 mm"),
+        (
+            verdict("unexplained", unexplained_mm=24**0.5),
+            "beyond noise and mesh for which no effect can be named: 5.00 mm",
+        ),
         (
             verdict("attributed", EFFECT),
             "lacks <b>lag</b>: late &lt;i&gt; (delay = 0.05 s). The error on the held-out recordings falls",
@@ -180,7 +183,7 @@ def test_of_which_recordings_something_is_left_is_said():
     assert "beyond noise and mesh remain, held out<" in page_html(unseen, rows())
     found["error_mm"]["held_out"] |= {"before": None, "after": None}
     assert remains(found, rows())[0] == "4.64 mm beyond noise and mesh."
-    assert "that no candidate explains: 4.00 mm on the fit recordings" in sentence(found)
+    assert "for which no effect can be named: 4.00 mm on the fit recordings" in sentence(found)
 
 
 def test_words_beside_bars_have_room():
@@ -270,6 +273,17 @@ def test_a_split_that_no_recording_states_is_told_on_the_page(drawn, held, said)
     page = page_html(found, NOTHING)
     assert ("states a split" in page) == bool(said)
     assert said in page
+
+
+@pytest.mark.parametrize(("stated", "said"), [(False, True), (True, False), (None, False)])
+def test_noise_that_no_recording_states_is_told_as_an_estimate(stated, said):
+    found = verdict("complete")
+    assert "neighbouring frames jump" not in page_html(found, NOTHING)  # of a verdict that was kept before it was told
+    found["error_mm"]["noise_stated"] = stated
+    line = "Not all recordings state their noise; it was told from how much neighbouring frames jump."
+    assert (line in page_html(found, NOTHING)) == said
+    terminal = "\n".join(verdict_lines(found))
+    assert ("not all recordings state their noise; it was told" in terminal) == said
 
 
 def test_every_family_of_effects_has_a_picture_and_no_other():

@@ -12,7 +12,7 @@ import pytest
 from clothbench_trackers.markers import Markers
 from conftest import swinging_recording
 
-from clothbench import Camera, ClothbenchError, Obstacle, Video, read_recording, scene_of, write_recording
+from clothbench import Camera, ClothbenchError, Obstacle, Recording, Video, read_recording, scene_of, write_recording
 from clothbench.cli.commands import main
 from clothbench.recordings.nodes import find_recordings
 from clothbench.recordings.nodes_rules import stamp_rounding, while_held
@@ -283,20 +283,48 @@ def test_a_node_that_is_nowhere_near_the_cloth_is_refused(recording):
     assert dataclasses.replace(recording, position=position).position.shape == position.shape
 
 
-@pytest.mark.parametrize("change", ["grips exchanged", "nodes counted from the other side"])
-def test_grips_in_another_order_than_their_places_are_refused(recording, change):
-    if change == "grips exchanged":
-        changed = {"grip_position": recording.grip_position[:, ::-1]}
-    else:
-        changed = {"material": recording.material * [-1.0, 1.0] + [recording.cloth_width, 0.0]}
-    with pytest.raises(
-        ClothbenchError, match=r"'grip_position': found grip 0 at no time nearer .*; are grips, or nodes, "
-    ):
-        dataclasses.replace(recording, **changed)
+def held_grid(nodes: int, width: float = 0.3, height: float = 0.3, inset: float = 0.0, **changes) -> Recording:
+    """A flat sheet that its two upper corners hold, seen at nodes × nodes places that begin so far inside its hems."""
+    u, v = (np.linspace(inset, side - inset, nodes) for side in (width, height))
+    material = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+    places = np.stack([material[:, 0], 0 * material[:, 0], -material[:, 1]], axis=1)
+    grips = np.array([[0.0, 0.0, 0.0], [width, 0.0, 0.0]])
+    time = np.linspace(0, 1, 11)
+    content = {
+        "name": "held", "time": time, "material": material, "position": np.tile(places, (11, 1, 1)), "grip_time": time,
+        "grip_material": grips[:, :2], "grip_position": np.tile(grips, (11, 1, 1)), "cloth_width": width,
+        "cloth_height": height,
+    }  # fmt: skip
+    return Recording(**{**content, **changes})
+
+
+@pytest.mark.parametrize(("nodes", "inset"), [(3, 0.0), (3, 0.05), (4, 0.0), (11, 0.01)])
+@pytest.mark.parametrize("change", ["grips exchanged", "counted from the right", "v upwards"])
+def test_grips_in_another_order_than_their_places_are_refused(nodes, inset, change):
+    sound = held_grid(nodes, inset=inset)
+    changed = {
+        "grips exchanged": {"grip_position": sound.grip_position[:, ::-1]},
+        "counted from the right": {"material": sound.material * [-1.0, 1.0] + [0.3, 0.0]},
+        "v upwards": {"material": sound.material * [1.0, -1.0] + [0.0, 0.3]},
+    }[change]
+    with pytest.raises(ClothbenchError, match=r"'grip_position': found grip 0 at no time nearer .* in another order"):
+        dataclasses.replace(sound, **changed)
+
+
+def test_grips_are_in_order_between_few_stamps_and_where_they_hold_an_obstacle_or_let_go():
+    sound = held_grid(5)
+    away = sound.time[:, None, None] * np.array([0.5, 0.0, 0.0])
+    few = np.array([-1.0, 4.0])
+    path = sound.grip_position[:1] + few[:, None, None] * np.array([0.5, 0.0, 0.0])
+    dataclasses.replace(sound, position=sound.position + away, grip_time=few, grip_position=path)
+    dataclasses.replace(sound, position=sound.position - 2 * away)  # released as the recording begins
+    plate = Obstacle("disc", (0.15, 0.0, -0.3), (0.0, 0.0, 1.0), radius=0.09, carried=True)
+    below = sound.grip_position - [0.0, 0.0, 0.25]
+    dataclasses.replace(sound, obstacles=(plate,), grip_position=below)
 
 
 def test_grips_that_are_known_a_little_aside_are_for_a_model_to_explain(recording):
-    aside = 0.1 * np.hypot(recording.cloth_width, recording.cloth_height)
+    aside = 0.14 * np.hypot(recording.cloth_width, recording.cloth_height)
     dataclasses.replace(recording, grip_position=recording.grip_position + np.array([aside, 0.0, 0.0]))
 
 

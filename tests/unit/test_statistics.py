@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from clothbench.core.statistics import jackknife_half_width, repeated, standing_out, t_interval, uncut_half
+from clothbench.core.statistics import (
+    differences,
+    jackknife_half_width,
+    repeated,
+    standing_out,
+    t_interval,
+    uncut_half,
+)
 from clothbench.engine.judgement import half
 
 
@@ -50,3 +57,13 @@ def test_values_that_no_search_came_to_are_told_by_being_the_same_to_the_last_di
     assert repeated(values, 2.0 * (1 - 1e-14)).tolist() == [True, True, True, False, False]
     assert not repeated(np.array([1.0, 1.0 + 1e-6]), 0.0).any()
     assert repeated(np.zeros(0), 1.0).tolist() == []
+
+
+@pytest.mark.parametrize("order", [3, 4, 5, 6, 7])
+def test_differences_have_the_noise_of_one_sample_and_nothing_of_a_polynomial(order):
+    random = np.random.default_rng(order)
+    at = np.sort(np.arange(4000) / 30 + random.uniform(-0.2, 0.2, 4000) / 30)
+    assert differences(at, random.normal(size=4000), order).std() == pytest.approx(1, rel=0.05)
+    near = at[:40] - at[20]
+    assert differences(near, near ** (order - 1), order) == pytest.approx(0, abs=1e-9)
+    assert len(differences(at[:order], at[:order], order)) == 0

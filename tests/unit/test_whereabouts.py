@@ -121,11 +121,14 @@ def test_of_grips_that_never_move_there_are_no_phases():
     assert grip_phases(seen.time, still) == {}
 
 
-def phases_of_way(way):
-    """How many frames are in each phase, of two grips that go a way (2, 3) m over time."""
-    clock, time = np.linspace(0.0, 6.0, 601), np.arange(0.0, 6.0, 1 / 30)
+def phases_of_way(way, blur=0.0, rate=100, seed=0):
+    """How many frames are in each phase, of two grips that go a way (2, 3) m over time. blur: m, noise of their log;
+    rate: Hz, of it.
+    """
+    clock, time = np.linspace(0.0, 6.0, 6 * rate + 1), np.arange(0.0, 6.0, 1 / 30)
     held = np.array([[0.0, 0.0, 0.0], [SIDE, 0.0, 0.0]])
     path = held + np.stack([way(t) for t in clock])
+    path = path + blur * np.random.default_rng(seed).normal(size=path.shape)
     scene = Scene(SIDE, SIDE, 0.2, clock, held[:, [0, 2]], path, time, recordings(0)[0][1].points)
     return {name: int(frames.sum()) for name, frames in grip_phases(time, scene).items()}
 
@@ -140,6 +143,20 @@ def test_grips_that_stand_still_for_long_pause_and_do_not_turn():
     found = phases_of_way(lambda t: np.interp(t, [0.5, 1.5, 4.5, 5.5], [0.0, 0.2, 0.2, 0.4]) * np.eye(3)[[1, 1]])
     assert found["the grips pause"] > 80
     assert found["the grips turn"] == 0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_noise_of_the_grips_log_is_no_motion(seed):
+    """It came before the first motion and after the last, and these phases vanished."""
+
+    def way(t):
+        return 0.6 * np.interp(t, [1.0, 4.0], [0.0, 1.0]) * np.eye(3)[[1, 1]]
+
+    exact, blurred = phases_of_way(way), phases_of_way(way, 1e-3, 30, seed)
+    assert blurred["the grips turn"] + blurred["the grips pause"] <= 5
+    for name in ("before the grips move", "after the grips stopped"):
+        assert blurred[name] == pytest.approx(exact[name], abs=4)
+    assert phases_of_way(lambda t: np.zeros((2, 3)), 1e-3, 30, seed) == {}
 
 
 def test_a_stretch_of_frames_lasts_as_long_as_its_stamps_say():

@@ -105,6 +105,7 @@ class CurveEvidence:
     has_rerun: ClassVar[bool] = False
     textile: ClassVar[None] = None
     in_pictures: ClassVar[bool] = False
+    noise_stated: ClassVar[None] = None
 
     def restricted(self, cases: Sequence[CurveCase]) -> CurveEvidence:
         return dataclasses.replace(self, cases=tuple(cases))

@@ -75,8 +75,17 @@ def error_entry(finding: Finding) -> dict[str, Any]:
             ],
             "placebo": placebo and {"name": placebo.name, "after": pooled([scale * e for e in placebo.errors])},
         },
-        "noise": scale * finding.noise, "mesh": scale * finding.mesh, "noise_floor": scale * finding.floor,
+        "noise": scale * finding.noise, "noise_stated": noise_stated(finding), "mesh": scale * finding.mesh,
+        "noise_floor": scale * finding.floor,
     }  # fmt: skip
+
+
+def noise_stated(finding: Finding) -> bool | None:
+    """Whether every fitted recording, or its tracker, states the noise; False where it was told from how neighbouring
+    frames jump. None where it is the spread between repeats, runs or specimens.
+    """
+    evidence = finding.evidence
+    return evidence.noise_stated if finding.noise <= evidence.noise() else None
 
 
 def description_entry(finding: Finding, in_mm: bool) -> dict[str, Any] | None:
@@ -98,12 +107,13 @@ def description_entry(finding: Finding, in_mm: bool) -> dict[str, Any] | None:
 
 def balance_entry(finding: Finding) -> dict[str, Any] | None:
     """What the torque about the grips goes with, without any model: shares of its mean square that are predicted on
-    recordings left out, the kernel over lag, the law, if there is one, other terms that alone predict as much as its
-    first, and on how many of the fitted recordings it rests: of the others a balance would say nothing (`motion_of`).
+    recordings left out, the kernel over lag, the law, if there is one and the verdict is not that nothing is missing,
+    other terms that alone predict as much as its first, and on how many of the fitted recordings it rests: of the
+    others a balance would say nothing (`motion_of`).
     """
     if (found := finding.balance) is None:
         return None
-    past, law = found.past, found.law
+    past, law = found.past, None if finding.verdict == "complete" else found.law
     return {
         "shares": dict(past.shares),
         "kernel": {"lag_s": list(past.lag), "value": list(past.value), "low": list(past.low), "high": list(past.high),

@@ -229,6 +229,7 @@ class DrapeEvidence:
     search: ClassVar[SearchSettings] = SEARCH
     has_rerun: ClassVar[bool] = False
     in_pictures: ClassVar[bool] = False
+    noise_stated: ClassVar[None] = None
 
     def restricted(self, cases: Sequence[DrapeCase]) -> DrapeEvidence:
         return dataclasses.replace(self, cases=tuple(cases))

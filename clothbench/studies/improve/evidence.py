@@ -134,6 +134,11 @@ class Evidence(Protocol):
         ...
 
     @property
+    def noise_stated(self) -> bool | None:
+        """Whether all fit recordings state the noise; None where it is the spread between runs or specimens."""
+        ...
+
+    @property
     def textile(self) -> str | None:
         """The type of textile, by which a model says what is to be searched for; None: all its parameters."""
         ...

@@ -90,6 +90,13 @@ class Series:
         """Whether the chosen terms come to no negative mass."""
         return bool((self.amounts(chosen)[1:][self.positive[list(chosen)]] >= 0).all())
 
+    def damped(self, chosen: Sequence[int]) -> bool:
+        """Whether what is beside the chosen terms is damping, or may be none: a term that makes up for what brings
+        energy in describes nothing.
+        """
+        damping = self.amounts(chosen)[0]
+        return bool(damping >= 0 or damping + jackknife(self, chosen)[0] >= 0)
+
     def errors(self, chosen: Sequence[int], missing: Sequence[np.ndarray] | None = None) -> np.ndarray:
         """(R,) mean square on each recording, of a fit to all others with the chosen terms."""
         given = self.missing if missing is None else missing
@@ -186,7 +193,8 @@ def selected(series: Series, before: np.ndarray) -> tuple[list[int], np.ndarray]
     errors, count = before, series.columns[0].shape[1]
     for _ in range(MOST_TERMS):
         taken = {series.slot[k] for k in chosen}
-        rest = [k for k in range(count) if series.slot[k] not in taken and series.allowed([*chosen, k])]
+        free = [[*chosen, k] for k in range(count) if series.slot[k] not in taken]
+        rest = [new[-1] for new in free if series.allowed(new) and series.damped(new)]
         if not rest:
             break
         found = {k: series.errors([*chosen, k]) for k in rest}

@@ -32,6 +32,7 @@ from clothbench.studies.improve.words import (
     limits,
     mesh_is_capped,
     mesh_size,
+    noise_told,
     p_is,
     remains,
     sentence,
@@ -162,7 +163,8 @@ def verdict_box(found: Mapping[str, Any]) -> str:
     hint = f'<p class="soft">Hint: {text(found["hint"])}.</p>' if found["hint"] else ""
     control = f'<p class="soft">{said}</p>' if (said := sham(errors_of(found))) else ""
     split = f'<p class="soft">{said}</p>' if (said := drawn(found)) else ""
-    return f'<div class="verdict">{pill}<p>{sentence(found)}</p>{control}{hint}{split}</div>'
+    noise = f'<p class="soft">{said}</p>' if (said := noise_told(errors_of(found))) else ""
+    return f'<div class="verdict">{pill}<p>{sentence(found)}</p>{control}{hint}{split}{noise}</div>'
 
 
 def tiles(found: Mapping[str, Any]) -> str:

@@ -8,10 +8,14 @@ from itertools import combinations
 import numpy as np
 
 from clothbench.core.observation import Observation
+from clothbench.core.statistics import noise_among_neighbours
 from clothbench.recordings.nodes import Recording
 from clothbench.studies.improve.settings import LOOP
 
 MANY = 1000  # delays looked at together, of which all would not fit into memory
+ALWAYS = 0.98  # of the time, in which what stands still stays where it is: a blunder of the sensor is no motion
+SCATTER = 4.0  # σ of a coordinate, within which the noisiest of many places stays for so much of the time
+ABOUT = 1.2  # times the noise that logs show, which is known about so well, within which they are alike
 
 Swing = tuple[Recording, Observation, np.ndarray]  # a recording, what was seen of it, and a residual field (T, N, 3) m
 
@@ -40,11 +44,15 @@ def spread_of_repeats(swings: Sequence[Swing]) -> float:
 
 
 def delay_of_repeat(a: Recording, b: Recording, seen_a: Observation, seen_b: Observation) -> float | None:
-    """By how much [s] the motion comes later in recording b of the same sheet; None if it is another one."""
+    """By how much [s] the motion comes later in recording b of the same sheet; None if it is another one. The noise of
+    the grips' logs, as these show it, is no difference.
+    """
     held_alike = len(a.grip_material) and np.array_equal(a.grip_material, b.grip_material)
     if not (held_alike and np.array_equal(seen_a.material, seen_b.material)):
         return None  # nor can a sheet that nobody holds be said to be moved alike
-    if still(a.grip_position) and not all(still(s.position, float(np.nan_to_num(s.sigma))) for s in (seen_a, seen_b)):
+    noise = [grip_noise(one.grip_time, one.grip_position) for one in (a, b)]
+    at_rest = still(a.grip_position, noise[0])
+    if at_rest and not all(still(s.position, float(np.nan_to_num(s.sigma))) for s in (seen_a, seen_b)):
         return None  # what swings in grips that stand still was let go otherwise
     step = float(np.median(np.diff(a.grip_time)))
     late = np.arange(0.0, (1 - LOOP.repeat_overlap) * min(np.ptp(a.grip_time), np.ptp(b.grip_time)), step)
@@ -56,9 +64,15 @@ def delay_of_repeat(a: Recording, b: Recording, seen_a: Observation, seen_b: Obs
         [apart_after(some, time, here, b) for some in np.array_split(shifts, -(-len(shifts) // MANY))]
     )
     size = float(np.mean((here - here.mean(axis=0)) ** 2)) ** 0.5
-    least = int(np.argmin(apart))  # of equal ones the shortest delay
-    near = max(LOOP.repeat_distance * size, LOOP.repeat_distance_floor)
-    return float(shifts[least]) if apart[least] <= near else None
+    own = max(LOOP.repeat_distance * size, LOOP.repeat_distance_floor)
+    near = float(np.hypot(own, ABOUT * np.hypot(noise[0], noise[1])))
+    # Of equal ones the shortest delay: of grips that stand still noise alone would choose one.
+    least = int(np.argmax(apart <= near) if at_rest else np.argmin(apart))
+    later = a.grip_time + shifts[least]
+    both = (later >= b.grip_time[0]) & (later <= b.grip_time[-1])
+    if apart[least] > near or (not at_rest and still(a.grip_position[both], noise[0])):
+        return None  # grips that are alike only while they stand still were not moved alike
+    return float(shifts[least])
 
 
 def apart_after(shifts: np.ndarray, time: np.ndarray, here: np.ndarray, other: Recording) -> np.ndarray:
@@ -77,7 +91,15 @@ def apart_after(shifts: np.ndarray, time: np.ndarray, here: np.ndarray, other: R
 
 
 def still(position: np.ndarray, sigma: float = 0.0) -> bool:
-    """Whether places (T, N, 3) m, NaN where unknown, stay where they are in the middle of all times, but for noise."""
+    """Whether places (T, N, 3) m, NaN where unknown, with a noise of σ m in a coordinate, stay where they are all the
+    time: what moves and then rests, or was let go and comes to rest, does not.
+    """
     known = position[:, np.isfinite(position).any(axis=0).all(axis=1)]
     away = np.linalg.norm(known - np.nanmedian(known, axis=0), axis=2)
-    return bool(np.nanmedian(away) <= LOOP.repeat_distance_floor + 3 * sigma)
+    farthest = np.nanquantile(away, ALWAYS, axis=0).max(initial=0.0)
+    return bool(farthest <= LOOP.repeat_distance_floor + SCATTER * sigma)
+
+
+def grip_noise(time: np.ndarray, position: np.ndarray) -> float:
+    """σ of one coordinate [m] of grips (T, G, 3) m at times (T,) s, as their log shows it; 0 where it is too short."""
+    return float(np.nan_to_num(noise_among_neighbours(time, position.reshape(len(time), -1))))

@@ -41,7 +41,7 @@ class LoopSettings:
     richardson: float = 4 / 3  # times the change by halved cells: the whole error, where it is of second order
     refinement_offset: float = 0.05  # how far from a fit the mesh's error is looked at, of the scaled range
 
-    stages: int = 19  # version of what the stages do and write: a cell of another one is asked anew
+    stages: int = 20  # version of what the stages do and write: a cell of another one is asked anew
 
     # Attribution.
     shape_settings: int = 4  # settings of an effect's shape parameter that are looked at; twice as many of several
@@ -104,7 +104,7 @@ class LoopSettings:
     valley_turns: int = 3  # times that one is looked for so, at most, each from the best so far
 
     # Repeated motions.
-    repeat_distance: float = 0.05  # of a grip's own motion, within which another repeats it
+    repeat_distance: float = 0.05  # of a grip's own motion, within which another repeats it, but for their noise
     repeat_distance_floor: float = 1e-3  # m, the same for grips that hardly move
     repeat_overlap: float = 0.8  # share of the shorter recording over which it has to
     repeat_samples: int = 200  # of a grip's path, to compare it by

@@ -15,7 +15,7 @@ from clothbench.core.protocols import Effect, Model, Score
 from clothbench.core.resting import remember_rest
 from clothbench.core.rollout import Rollout
 from clothbench.core.scene import Scene
-from clothbench.core.statistics import NORMAL, third_differences
+from clothbench.core.statistics import noise_among_neighbours
 from clothbench.estimation.trials import Trial
 from clothbench.recordings.nodes import Recording
 from clothbench.studies.improve.evidence import Comparison, Rows, Surrogate, Unit, prepared, without_switches
@@ -27,8 +27,6 @@ from clothbench.studies.improve.sheet_tables import sheet_tables
 from clothbench.studies.improve.torque import Balance, balance_of
 from clothbench.studies.improve.whereabouts import whereabouts
 
-WITHOUT_NOISE = 1e-3  # of the most that a coordinate shows as its noise: one that shows less was written without any
-FEW = {1: 2.198, 2: 2.007}  # third differences: how often σ² the square of `noise_of` is, of normal values
 LEAST_GRID = 1e-7  # m: a rounding finer than this is none that matters
 MULTIPLES = 3  # different ones of a grid, by which it is known for one
 THIRDS = ("upper", "middle", "lower")  # of a hanging sheet, along v
@@ -174,6 +172,10 @@ class SheetEvidence:
     def in_pictures(self) -> bool:
         return any(case.observation.sight is not None for case in self.cases)
 
+    @property
+    def noise_stated(self) -> bool:
+        return all(np.isfinite(case.observation.sigma) for case in self._fitted())
+
     def restricted(self, cases: Sequence[SheetCase]) -> SheetEvidence:
         return dataclasses.replace(self, cases=tuple(cases))
 
@@ -195,7 +197,7 @@ class SheetEvidence:
     def repeat_spread(self, residual: Sequence[np.ndarray]) -> float:
         return spread_of_repeats(
             [
-                (case.recording, case.observation, case.field(r))
+                (case.recording, with_noise(case.observation), case.field(r))
                 for case, r in zip(self._fitted(), residual, strict=True)
             ]
         )
@@ -249,26 +251,19 @@ def refined(scene: Scene) -> Scene:
 
 
 def noise_of(observation: Observation) -> float:
-    """σ of one coordinate [m]: as stated, else the rms over nodes and coordinates of what each shows as its own: a
-    sensor may see one direction worse than others. What it shows is the median of absolute third differences, which
-    wrinkles and jumps hardly change; of n of them its square comes out too large by 4/(n + 1), found by simulation, and
-    of one or two as `FEW` has it.
-    Nodes written without noise, as held ones may be, do not count, and none has less than its rounding.
+    """σ of one coordinate [m]: as stated, else the rms over nodes and coordinates of what each shows as its own (a
+    sensor may see one direction worse than others), no less than their rounding; NaN where it cannot be told.
     """
     if np.isfinite(observation.sigma):
         return observation.sigma
     x = np.where(observation.visible[..., None], observation.in_measured(observation.position), np.nan)
-    third = third_differences(observation.time, x)
-    third = third.reshape(len(third), math.prod(x.shape[1:]))
-    count = np.isfinite(third).sum(axis=0)
-    if not count.any():
-        return math.nan
-    third, count = third[:, count > 0], count[count > 0]
-    too_large = np.select([count == n for n in FEW], list(FEW.values()), 1 + 4 / (count + 1))
-    each = NORMAL * np.nanmedian(np.abs(third), axis=0) / np.sqrt(too_large)
-    each = np.maximum(each, grid_of(x) / math.sqrt(12))
-    noisy = each >= WITHOUT_NOISE * each.max()
-    return float(np.sqrt(np.average(np.square(each[noisy]), weights=count[noisy])))
+    return noise_among_neighbours(observation.time, x.reshape(len(x), -1), grid_of(x) / math.sqrt(12))
+
+
+def with_noise(observation: Observation) -> Observation:
+    """The observation, which knows its noise."""
+    stated = np.isfinite(observation.sigma)
+    return observation if stated else dataclasses.replace(observation, sigma=noise_of(observation))
 
 
 def grid_of(x: np.ndarray) -> float:

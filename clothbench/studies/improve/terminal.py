@@ -7,7 +7,7 @@ from typing import Any
 
 from clothbench.engine.study import Results
 from clothbench.studies.improve.document import document_in
-from clothbench.studies.improve.words import errors_of, limit_line, more_is_left, p_is, size
+from clothbench.studies.improve.words import errors_of, limit_line, more_is_left, noise_told, p_is, size
 
 
 def show(results: Results) -> Iterator[str]:
@@ -39,6 +39,8 @@ def verdict_lines(found: Mapping[str, Any]) -> Iterator[str]:
             yield f"    {name} = {p['value']:.4g} {p['unit']} ({low} … {high})"
         yield from (f"    {line}" for line in own_lines(effect))
     yield error_line(found)
+    if said := noise_told(errors_of(found)):
+        yield f"{said[0].lower()}{said[1:].rstrip('.')}"
     if described := found.get("description"):
         yield f"  described, without a name: {described['formula']}, {p_is(described['p_value'])}"
         for term in described["terms"]:

@@ -214,7 +214,7 @@ def hint(state: State, word: str, fit: Fitted, worse: bool = False) -> str:
     if not said:
         return "the residual stands above the noise, and no candidate could be tried"
     where = state.problem.evidence.location(fit.residual)
-    return "; ".join(filter(None, (f"a hint, no finding: {'; '.join(said)}", where)))
+    return "; ".join(filter(None, (f"no finding: {'; '.join(said)}", where)))
 
 
 def own_lacks(state: State) -> list[str]:

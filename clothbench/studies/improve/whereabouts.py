@@ -17,6 +17,7 @@ from clothbench.core.observation import Observation
 from clothbench.core.scene import Scene
 from clothbench.core.statistics import student_above
 from clothbench.studies.improve.law import moved_round
+from clothbench.studies.improve.repeats import grip_noise
 from clothbench.studies.improve.settings import LOOP
 
 Rows = list[dict[str, Any]]  # of the table `whereabouts`
@@ -25,6 +26,7 @@ MOVES = 0.1  # of the grips' greatest speed: above that they move; and of their 
 PAUSE = 0.3  # s; grips that stand still for longer do not turn, but pause
 LEAST_FRAMES = 5  # of a phase in a recording, for it to have a say
 SPEED_OVER = 0.1  # s, over which speeds are taken
+SURELY = 3.0  # times the speed that noise alone gives grips that stand still: above that they move
 
 
 def whereabouts(seen: Sequence[tuple[Observation, Scene, np.ndarray]], scale: float, unit: str, seed: int = 0) -> Rows:
@@ -137,7 +139,8 @@ def speeds(x: np.ndarray, time: np.ndarray) -> np.ndarray:
 
 def grip_phases(time: np.ndarray, scene: Scene) -> dict[str, np.ndarray]:
     """Of the grips: before they move, while they speed up, slow down, turn or pause, and after they stopped; none of a
-    sheet that nobody holds, and where they never move. Frames in which they move evenly are in none.
+    sheet that nobody holds, and where they never move. Frames in which they move evenly are in none. Noise of the
+    grips' log, as this shows it, is no motion: one frame that it gave a speed would be the first or the last to move.
     """
     if not len(scene.grip_material):
         return {}
@@ -152,7 +155,8 @@ def grip_phases(time: np.ndarray, scene: Scene) -> dict[str, np.ndarray]:
         return np.sqrt(np.square(away).sum(axis=1) / len(scene.grip_material)) / SPEED_OVER
 
     now, change = speed(time), speed(time + SPEED_OVER / 2) - speed(time - SPEED_OVER / 2)
-    moving = now > MOVES * max(now.max(), 1e-9)
+    noise = grip_noise(scene.grip_time, scene.grip_position) * np.sqrt(2 * 3) / SPEED_OVER  # two places, three ways
+    moving = now > max(MOVES * now.max(), SURELY * noise, 1e-9)
     if not moving.any():
         return {}
     first, last = int(np.argmax(moving)), len(time) - 1 - int(np.argmax(moving[::-1]))

@@ -134,6 +134,13 @@ def drawn(found: Mapping[str, Any]) -> str:
     return f"No recording states a split; {rest}."
 
 
+def noise_told(error: Mapping[str, Any]) -> str:
+    """That the noise is an estimate; "" where recordings state it, or where an older verdict has no word on it."""
+    if error.get("noise_stated") is not False:
+        return ""
+    return "Not all recordings state their noise; it was told from how much neighbouring frames jump."
+
+
 def sentence(found: Mapping[str, Any]) -> str:
     """The verdict as HTML."""
     error, model = errors_of(found), f"<b>{text(found['model'])}</b>"
@@ -168,8 +175,8 @@ def sentence(found: Mapping[str, Any]) -> str:
             account = "no more than noise and its mesh account for"
             return f"What {model} leaves{on} is {account}, so that nothing is named: {rest}"
         if left_on(error) != split:
-            return f"{model} leaves {beyond(error)}{left_where(error)} that no candidate explains; {rest}"
-        return f"{model} leaves {beyond(error)} that no candidate explains: {rest}"
+            return f"{model} leaves {beyond(error)}{left_where(error)} for which no effect can be named; {rest}"
+        return f"{model} leaves {beyond(error)} for which no effect can be named: {rest}"
     lacks = " and ".join(named(effect) for effect in found["effects"])
     return f"{model} lacks {lacks}. The error on the {where} recordings falls from {before} to {after} {unit}; {floor}."
 
