@@ -186,7 +186,8 @@ def check_grip_order(arrays: Arrays, across: float, where: str) -> None:
             raise ClothbenchError(
                 f"{where}: variable 'grip_position': found grip {grip} at no time nearer to node {node} than "
                 f"{away:.2g} m, expected {STRETCHED * beside + ASIDE * across:.2g} m at most, as it is {beside:.2g} m "
-                "from it on the cloth; are grips, or nodes, in another order than their places on the cloth?"
+                "from it on the cloth; are grips, or nodes, in another order than their places on the cloth, or are "
+                "both known in frames that differ?"
             )
 
 

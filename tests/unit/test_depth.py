@@ -33,7 +33,8 @@ def grips_at(position: np.ndarray) -> GripPath:
 def images(**changes) -> DepthImages:
     depth = np.full((6, 40, 48), 1000, np.uint16)
     depth[:, :3] = 0
-    grips = GripPath(TIME, np.array([[0.0, 0.0], [0.3, 0.0]]), np.zeros((6, 2, 3)) + np.array([0.0, 0.0, 1.0]))
+    corners = np.array([[0.0, 0.0, 1.0], [0.3, 0.0, 1.0]])
+    grips = GripPath(TIME, corners[:, :2], np.tile(corners, (6, 1, 1)))
     colour = Colour(TIME - 0.01, np.full((6, 40, 48, 3), 90, np.uint8))
     content = {"name": "run", "time": TIME, "depth": depth, "depth_step": 1e-3, "camera": CAMERA, "cloth_width": 0.3,
                "cloth_height": 0.4, "colour": colour, "grips": grips, "notes": {"room": "4"}}  # fmt: skip
