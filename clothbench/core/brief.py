@@ -11,7 +11,7 @@ SHORT = 4  # numbers of an array that are shown
 
 
 def brief(record: Any) -> str:
-    """`repr` of a dataclass, without fields that hold nothing, and with `array(T × N × 3)` for larger arrays."""
+    """`repr` of a dataclass, without fields that hold nothing; of many values `array(T × N × 3)` or `tuple(N)`."""
     fields = [(f.name, getattr(record, f.name)) for f in dataclasses.fields(record) if f.repr]
     told = [f"{name}={_brief(value)}" for name, value in fields if value is not None and not _empty(value)]
     return f"{type(record).__name__}({', '.join(told)})"
@@ -22,6 +22,10 @@ def _empty(value: Any) -> bool:
 
 
 def _brief(value: Any) -> str:
+    if isinstance(value, tuple | list) and len(value) > SHORT:
+        return f"{type(value).__name__}({len(value)})"
+    if isinstance(value, tuple | list):
+        return f"({', '.join(map(_brief, value))})"
     if not isinstance(value, np.ndarray):
         return repr(value)
     if value.size <= SHORT:

@@ -103,9 +103,15 @@ def noise_among_neighbours(at: np.ndarray, values: np.ndarray, least: float = 0.
     Third differences show it. Where what is measured moves fast beside the samples, much of it passes for noise in
     them: they tell by so much too much as one of the higher orders tells less of the same series, if that is no chance.
     """
+    noise, share = noise_and_share(at, values, least)
+    return share * noise
+
+
+def noise_and_share(at: np.ndarray, values: np.ndarray, least: float = 0.0) -> tuple[float, float]:
+    """What third differences show as the noise of `noise_among_neighbours`, and what share of it higher ones show."""
     third, count = noise_of_each(at, values, 3)
     if not count.any():
-        return math.nan
+        return math.nan, 1.0
     third = np.maximum(third, least)
     noisy, share = (count > 0) & (third >= WITHOUT_NOISE * third[count > 0].max()), 1.0
     for order in HIGHER:
@@ -114,7 +120,7 @@ def noise_among_neighbours(at: np.ndarray, values: np.ndarray, least: float = 0.
         if known.any() and (before := weighted_rms(third[known], differ[known])) > 0:
             less = weighted_rms(np.maximum(each, least)[known], differ[known]) / before
             share = min(share, less) if less < 1 - BY_CHANCE / math.sqrt(differ[known].sum()) else share
-    return share * weighted_rms(third[noisy], count[noisy])
+    return weighted_rms(third[noisy], count[noisy]), share
 
 
 def noise_of_each(at: np.ndarray, values: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:

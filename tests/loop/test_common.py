@@ -116,6 +116,16 @@ def test_where_nothing_is_in_common_the_errors_are_of_the_calibrated_fit():
     assert "no effect can be named" not in sentence(found)
 
 
+def test_a_model_that_only_recordings_held_out_speak_against_does_not_leave_nothing():
+    documents = [verdict(name, after=0.55) for name in "ab"]
+    for found, left in zip(documents, (9.0, 12.0), strict=True):
+        found["error_mm"]["held_out"] |= {"before": left, "after": left}
+        found["unexplained_mm"] = (left**2 - 0.54**2) ** 0.5
+    assert "no more than noise" not in common_document(documents)["hint"]
+    documents[1]["unexplained_mm"] = 0.0
+    assert "b leaves no more than noise and mesh account for" in common_document(documents)["hint"]
+
+
 def test_where_nothing_is_in_common_the_best_calibrated_model_stands():
     better = verdict("b", after=2.0)
     for split in ("fit", "held_out"):

@@ -26,13 +26,15 @@ def swung(
     settles: float = np.inf,
     blur: float = 0.0,
     sigma: float = 1e-4,
+    reach: float = 0.1,
+    stamps: float = 100.0,
 ) -> SheetCase:
     """A grip that starts to swing after `late` seconds, so many times; frames from `first` s on, at 25 Hz. sway: m, of
     the nodes, which come to rest in `settles` s; clock: s, at which the recording begins; blur: m, noise of the log of
-    the grip; sigma: m, that the observation states.
+    the grip; sigma: m, that the observation states; reach: m, of the grip; stamps: 1/s, of its log.
     """
-    grip_time, random = np.arange(0, 8, 0.01), np.random.default_rng(len(name))
-    path = 0.1 * np.sin(2 * np.pi * np.clip(hertz * (grip_time - late), 0.0, swings))
+    grip_time, random = np.arange(0, 8, 1 / stamps), np.random.default_rng(len(name))
+    path = reach * np.sin(2 * np.pi * np.clip(hertz * (grip_time - late), 0.0, swings))
     grips = np.stack([path, 0 * path, 0 * path], axis=-1)[:, None] + blur * random.normal(size=(len(path), 1, 3))
     time = np.arange(first, 7.5, 0.04)
     position = np.zeros((len(time), 3, 3)) + (sway * np.sin(5 * time) * np.exp(-time / settles))[:, None, None]
@@ -99,6 +101,13 @@ def test_noise_of_the_grips_logs_hides_no_repeat(blur):
     still = [swung(name, 0.0, 0.0, blur=blur) for name in ("one", "other")]
     assert spread(*still) == pytest.approx(SIGMA, rel=0.1)
     assert spread(one, swung("slower", 0.6, 0.3, blur=blur), swung("far later", 0.8, 4.0, blur=blur)) == 0.0
+
+
+@pytest.mark.parametrize(("stamps", "hertz", "blur"), [(100, 0.8, 3e-3), (10, 2.5, 0.0), (5, 1.5, 0.0), (8, 2.0, 0.0)])
+def test_a_wider_swing_is_no_repeat_of_a_narrower_one_however_seldom_grips_are_logged(stamps, hertz, blur):
+    """Fast motion had passed for noise of a log with few stamps, and what noise may hide for alike."""
+    narrow, wide = (swung("a", hertz, 0.0, reach=r, stamps=stamps, blur=blur) for r in (0.10, 0.13))
+    assert spread(narrow, wide) == 0.0
 
 
 def test_a_sheet_at_rest_is_known_for_one_though_nobody_states_its_noise():

@@ -174,6 +174,12 @@ def test_the_verdict_is_one_sentence_or_two(found, said):
     assert said in sentence(found)
 
 
+def test_a_model_without_a_mesh_that_leaves_nothing_above_the_noise_is_not_told_to_leave_something():
+    found = verdict("unexplained", unexplained_mm=0.0)
+    found["error_mm"]["mesh"] = 0.0
+    assert "no more than the noise accounts for, so that nothing is named" in sentence(found)
+
+
 def test_of_which_recordings_something_is_left_is_said():
     """What is beyond the noise on those fitted had stood before the error of those held out, as if they were one."""
     found = verdict("unexplained", unexplained_mm=(4.75**2 - 1) ** 0.5)
@@ -305,7 +311,10 @@ def test_drift_is_a_sign_only_where_the_mesh_is_fine_enough_and_searches_moved()
     kept = {"value": first["joint"]}  # of a search that never left its start
     drift = [first | {"recording": n, **more} for n, more in zip("abc", ({"outside": True}, kept, kept), strict=True)]
     coarse = page_html(on_a_mesh("unexplained"), {**rows(), "drift": drift})
-    assert "Of 3 values 2 never left the start of their search (hollow) and have no say. Standing out: k;" in coarse
+    assert (
+        "Of 3 values 2 lie where their search began, or at a bound (hollow), and have no say. Standing out: k;"
+        in coarse
+    )
     assert "no sign of missing physics" in coarse.replace("\n", " ")
     found = on_a_mesh("unexplained")
     found["error_mm"]["mesh"] = 0.9

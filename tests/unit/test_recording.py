@@ -12,7 +12,17 @@ import pytest
 from clothbench_trackers.markers import Markers
 from conftest import swinging_recording
 
-from clothbench import Camera, ClothbenchError, Obstacle, Recording, Video, read_recording, scene_of, write_recording
+from clothbench import (
+    Camera,
+    ClothbenchError,
+    Obstacle,
+    Recording,
+    Rollout,
+    Video,
+    read_recording,
+    scene_of,
+    write_recording,
+)
 from clothbench.cli.commands import main
 from clothbench.recordings.nodes import find_recordings
 from clothbench.recordings.nodes_rules import stamp_rounding, while_held
@@ -335,6 +345,8 @@ def test_at_a_prompt_arrays_show_their_shapes_and_what_is_not_stated_is_left_out
     assert f"position=array({t} × {n} × 3)" in shown
     assert len(shown.splitlines()) == 1
     assert "outline" not in shown
+    many = Rollout(np.zeros(2), np.zeros((1000, 2, 3, 3)), ("ok",) * 1000, np.zeros(1000, int), 9)
+    assert "status=tuple(1000)" in repr(many)
 
 
 def test_positions_that_are_all_one_are_refused_of_a_file(recording, tmp_path):

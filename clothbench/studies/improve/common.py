@@ -4,6 +4,7 @@ no other does is a fault of its own.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -12,7 +13,8 @@ from clothbench.studies.improve.verdict import left_beyond
 
 Document = dict[str, Any]
 LEAST = 2  # models that have something to say, from which on something is in common
-ENTRY = ("key", "verdict", "hint", "effects", "error_mm", "error")  # what stands of each model in the common document
+# What stands of each model in the common document.
+ENTRY = ("key", "verdict", "hint", "effects", "error_mm", "error", "unexplained_mm", "unexplained")
 
 
 def common_document(documents: Sequence[Document]) -> Document:
@@ -161,10 +163,10 @@ def hint(documents: Sequence[Document], word: str) -> str:
 
 
 def leaves_nothing(found: Mapping[str, Any]) -> bool:
-    """Whether noise and mesh account for all that a model leaves on the recordings fitted."""
-    error = found.get("error") or found["error_mm"]
-    after = error["fit"]["after"]
-    return after is not None and left_beyond(after, error["noise_floor"]) == 0.0
+    """Whether noise and mesh account for all that a model leaves, on recordings fitted and held out."""
+    suffix = "" if "error" in found else "_mm"
+    floor, left = found[f"error{suffix}"]["noise_floor"], found.get(f"unexplained{suffix}")
+    return left is not None and left_beyond(math.hypot(left, floor), floor) == 0.0
 
 
 def lacks(found: Mapping[str, Any], names: set[str]) -> bool:

@@ -366,7 +366,7 @@ def drift_section(found: Mapping[str, Any], drift: Rows, blocks: list[dict[str, 
 def still_said(drift: Rows) -> str:
     """How many values have no say, as their searches did not move; "" where all did."""
     still = sum(int(draw.not_moved(rows).sum()) for rows in group(drift, lambda r: r["name"]).values())
-    said = f"Of {len(drift)} values {still} never left the start of their search (hollow) and have no say. "
+    said = f"Of {len(drift)} values {still} lie where their search began, or at a bound (hollow), and have no say. "
     return said if still else ""
 
 

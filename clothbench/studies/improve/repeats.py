@@ -8,13 +8,14 @@ from itertools import combinations
 import numpy as np
 
 from clothbench.core.observation import Observation
-from clothbench.core.statistics import noise_among_neighbours
+from clothbench.core.statistics import noise_and_share
 from clothbench.recordings.nodes import Recording
 from clothbench.studies.improve.settings import LOOP
 
 MANY = 1000  # delays looked at together, of which all would not fit into memory
 ALWAYS = 0.98  # of the time, in which what stands still stays where it is: a blunder of the sensor is no motion
-SCATTER = 4.0  # σ of a coordinate, within which the noisiest of many places stays for so much of the time
+SCATTER = 5.0  # σ of a coordinate, within which the noisiest of many places stays for so much of the time
+AGREE = 0.8  # of what third differences show, as which higher ones show noise as well
 ABOUT = 1.2  # times the noise that logs show, which is known about so well, within which they are alike
 
 Swing = tuple[Recording, Observation, np.ndarray]  # a recording, what was seen of it, and a residual field (T, N, 3) m
@@ -95,11 +96,16 @@ def still(position: np.ndarray, sigma: float = 0.0) -> bool:
     time: what moves and then rests, or was let go and comes to rest, does not.
     """
     known = position[:, np.isfinite(position).any(axis=0).all(axis=1)]
+    if not known.shape[1]:
+        return False
     away = np.linalg.norm(known - np.nanmedian(known, axis=0), axis=2)
     farthest = np.nanquantile(away, ALWAYS, axis=0).max(initial=0.0)
     return bool(farthest <= LOOP.repeat_distance_floor + SCATTER * sigma)
 
 
 def grip_noise(time: np.ndarray, position: np.ndarray) -> float:
-    """σ of one coordinate [m] of grips (T, G, 3) m at times (T,) s, as their log shows it; 0 where it is too short."""
-    return float(np.nan_to_num(noise_among_neighbours(time, position.reshape(len(time), -1))))
+    """σ of one coordinate [m] of grips (T, G, 3) m at times (T,) s, as their log shows it; 0 where it is too short, or
+    where higher differences show less of it: then it is motion, fast beside the stamps, that passes for noise.
+    """
+    noise, share = noise_and_share(time, position.reshape(len(time), -1))
+    return share * noise if np.isfinite(noise) and share >= AGREE else 0.0

@@ -170,9 +170,10 @@ def sentence(found: Mapping[str, Any]) -> str:
             return f"What {model} leaves is nothing above noise and mesh, but not all of it could be judged: {rest}"
         if several and not all(map(leaves_nothing, several)):
             return f"None of {text(listed([one['name'] for one in several]))} has a name for what it leaves: {rest}"
-        if not error["unexplained"] and error.get("mesh"):
+        if not error["unexplained"]:
             on = "" if several else left_where(error)
-            account = "no more than noise and its mesh account for"
+            accounts = "noise and its mesh account" if error.get("mesh") else f"the {noise_word(error)} accounts"
+            account = f"no more than {accounts} for"
             return f"What {model} leaves{on} is {account}, so that nothing is named: {rest}"
         if left_on(error) != split:
             return f"{model} leaves {beyond(error)}{left_where(error)} for which no effect can be named; {rest}"

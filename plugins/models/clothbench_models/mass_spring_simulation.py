@@ -132,7 +132,7 @@ class _Batch(GridBatch):
         options = simulation.options
         self.calmed = simulation.effects.resting(simulation.calmed(theta))
         scale = simulation.safety * options.step_scale
-        held = options.step_scale * simulation.restrained(self.calmed)
+        held = options.step_scale * simulation.restrained(self.calmed)  # of each node by itself: a bound that is safe
         settling = np.minimum(scale * simulation.stable_step(self.calmed), held)
         if options.dt is None:
             self.damping_stages, step = simulation.stages_and_step(theta)
