@@ -6,7 +6,8 @@ the sheet as compiled code sees it: Sheet, SHEET (its numba type), sheet_of, own
     wants_normals, bear_inertia, invert_inertia, bear_inverted, mobilities
 meshes: grid_triangles, gradient_weights, curvature_weights, triangle_slots
 a grid over a scene, cut to its outline, and a batch of parameter sets on it: Cover, spaces, grid_shape, grid_lines,
-    even_count, to_hems, cloth_of_cells, tributary, GridSimulation, GridBatch, check_resolution, check_number
+    even_count, to_hems, cloth_of_cells, tributary, GridSimulation, GridBatch, leapfrog_step, check_resolution,
+    check_number
 parameters of a model and its effects in one space: JoinedParameters
 effects in a time loop: BoundEffects, EFFECT (their numba type), Terms, SLOTS, FORCE, INERTIA, no_effect, ready,
     add_effects, apply_effects, show_grips
@@ -22,7 +23,7 @@ threads over members, and the shape to settle from: for_each, initial_shape
 from clothbench.core.kernels import apart_kernel, bundle_type, fast_kernel, kernel, lean_kernel
 from clothbench.core.parallel import for_each
 from clothbench.core.scene import initial_shape
-from clothbench.modelling.batch import GridBatch, GridSimulation
+from clothbench.modelling.batch import GridBatch, GridSimulation, leapfrog_step
 from clothbench.modelling.bound_effects import FORCE, INERTIA, PLACES, BoundEffects
 from clothbench.modelling.contact import (
     DISC,
@@ -193,6 +194,7 @@ __all__ = [
     "kernel",
     "layers_of",
     "lean_kernel",
+    "leapfrog_step",
     "mobilities",
     "no_effect",
     "obstacle_table",

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from clothbench import ClothbenchError, Effect, Material, Parameter, ParameterSpace, Scene
-from clothbench.modelling import BoundEffects, grid_shape
+from clothbench.modelling import BoundEffects, grid_shape, leapfrog_step
 from clothbench_models.mass_spring_simulation import LACKS, SpringOptions, SpringSimulation
 from clothbench_models.orthotropy import refuse_ratios
 from clothbench_models.spring_grid import Families
@@ -157,8 +157,7 @@ class VerletSimulation(SpringSimulation):
 
     def stable_step(self, theta: np.ndarray) -> np.ndarray:
         """Of Verlet with loss, ω² Δt² < 4 − 2 c Δt; there c Δt stays below 1 where c is not far above ω."""
-        square, loss = self.square_and_rate(theta)
-        return (np.sqrt(loss**2 + 4 * square) - loss) / square
+        return leapfrog_step(*self.square_and_rate(theta))
 
     def square_and_rate(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return self.fastest_square(theta), self.loss(theta)
