@@ -21,13 +21,13 @@ from rich.console import Console
 
 from clothbench import ClothbenchError, PointCloud, write_points, write_recording
 from clothbench.cli.commands import COMMANDS, main, parsed, print_json_rows
+from clothbench.cli.hydra_words import either_way
 from clothbench.cli.idle import say_alone, say_idle
 from clothbench.cli.improve import SHOWN
 from clothbench.cli.own_suites import each_choice, require_harmless
 from clothbench.cli.run import (
     _conclude,
     composed,
-    either_way,
     job,
     jobs_of,
     require_known,
